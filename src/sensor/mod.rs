@@ -1,0 +1,18 @@
+//! Floor 1: what a laser scanner measures, and what of it is certain.
+//!
+//! A [`Scan`] is validated once, at its construction; inside the engine the type is the proof. Angles are radians,
+//! lengths metres, frames right-handed, headings counter-clockwise from +x.
+
+mod cone;
+mod error;
+mod measurement;
+mod model;
+mod pose;
+mod scan;
+
+pub use cone::{BeamCone, BeamRectangle, EmptyCone};
+pub use error::ScanError;
+pub use measurement::{MeasurementSet, apex_offset, natural_measurement_box};
+pub use model::{Mount, SensorError, SensorModel, SensorSpec};
+pub use pose::{MAX_HEADING, MAX_POSITION, PoseBox, PoseLimits};
+pub use scan::{Angles, MAX_ANGLE, Reading, ReadingCounts, Scan, ScanLimits, ScanSpec};
