@@ -1,0 +1,89 @@
+//! From metres in the map frame to window coordinates in leaves, and the slack that floating point needs.
+
+use super::raster::Point;
+use crate::interval::Interval;
+use crate::quadtree::{BLOCK_SIDE, Grid};
+use crate::sensor::Scan;
+
+/// Slack of the window arithmetic, leaves.
+///
+/// A scan reaches at most four times [`super::super::config::MAX_REACH_CELLS`] (its range, and twice that aside for a wide
+/// heading; the footprint), so window coordinates are below 2^18 leaves and one operation is off by at most 2^-35. A
+/// vertex is the sensor's centre plus a distance times a product of two unit vectors: below 16 operations, 2^-31. Angles are
+/// off by at most 2^-42 rad (see [`super::star`]), which moves a vertex by at most 2^14 * 2^-42 = 2^-28. An edge's x is found
+/// for a y that is off by 2^-34. Together below 2^-27; 2^-20 leaves a factor of 128.
+const WINDOW_SLACK: f64 = 1.0 / (1 << 20) as f64;
+
+/// The window of one scan: where it lies and where the sensor's origin may be in it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Frame {
+    /// Block coordinates of the window's first tile.
+    pub base: (i64, i64),
+    /// Tiles along x and y.
+    pub size: (i32, i32),
+    /// Middle of the box of the sensor's origins, window coordinates.
+    pub origin: Point,
+    /// Half widths of that box, leaves, rounded up, without slack.
+    pub spread: Point,
+    /// Bound of all rounding, leaves: grows every dilation.
+    pub slack: f64,
+    /// Leaves per metre.
+    pub scale: f64,
+    /// Heading of the sensor: middle and half width (rounded up), radians.
+    pub heading: (f64, f64),
+    corner: (f64, f64),
+}
+
+impl Frame {
+    /// The window that holds everything within `reach` metres of all origins.
+    pub(super) fn new(grid: &Grid, scan: &Scan, reach: f64) -> Self {
+        let origins = scan.origins();
+        let scale = grid.resolution().recip();
+        let (origin_x, origin_y) = grid.origin();
+        let x = axis(origins.x, origin_x, grid.resolution(), reach);
+        let y = axis(origins.y, origin_y, grid.resolution(), reach);
+        let heading = scan.headings();
+        Self {
+            base: (x.base, y.base),
+            size: (x.tiles, y.tiles),
+            origin: (x.center, y.center),
+            spread: (x.half, y.half),
+            slack: grid.cell_slack() + WINDOW_SLACK,
+            scale,
+            heading: (heading.mid(), heading.radius()),
+            corner: (
+                origin_x + (x.base * i64::from(BLOCK_SIDE)) as f64 * grid.resolution(),
+                origin_y + (y.base * i64::from(BLOCK_SIDE)) as f64 * grid.resolution(),
+            ),
+        }
+    }
+
+    /// The dilation of what is drawn about the sensor.
+    pub(super) fn dilation(&self) -> Point {
+        (self.spread.0 + self.slack, self.spread.1 + self.slack)
+    }
+
+    /// A box of the map frame: its middle in window coordinates and its half widths in leaves.
+    pub(super) fn locate(&self, x: Interval, y: Interval) -> (Point, Point) {
+        let at = |v: Interval, corner: f64| ((v.mid() - corner) * self.scale, (v.radius() * self.scale).next_up());
+        let ((center_x, half_x), (center_y, half_y)) = (at(x, self.corner.0), at(y, self.corner.1));
+        ((center_x, center_y), (half_x, half_y))
+    }
+}
+
+struct Axis {
+    base: i64,
+    tiles: i32,
+    center: f64,
+    half: f64,
+}
+
+fn axis(origins: Interval, corner: f64, resolution: f64, reach: f64) -> Axis {
+    let center = (origins.mid() - corner) / resolution;
+    let half = (origins.radius() / resolution).next_up();
+    let around = reach / resolution + half + 2.0;
+    let side = f64::from(BLOCK_SIDE);
+    let first = ((center - around) / side).floor();
+    let last = ((center + around) / side).floor();
+    Axis { base: first as i64, tiles: (last - first) as i32 + 1, center: center - first * side, half }
+}

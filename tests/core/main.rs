@@ -1,0 +1,20 @@
+//! Tests of the core's public interface: floors 0 to 2.
+
+mod free;
+mod interval_arithmetic;
+mod interval_trig;
+mod interval_vectors;
+mod measurement_cone;
+mod measurement_set;
+mod paving;
+mod quadtree_grid;
+mod quadtree_support;
+mod quadtree_tree;
+mod regions;
+mod regions_exact;
+mod rules;
+mod rules_logs;
+mod rules_support;
+mod sensor_model;
+mod sensor_scan;
+mod tidy;
