@@ -1,0 +1,138 @@
+//! Keys of the store: one byte of kind, then the map's number and what is unique within it.
+
+use super::MapId;
+use crate::quadtree::BlockAddress;
+use std::fmt::Write as _;
+
+/// What a record holds: the first byte of its key and the second of its value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub(super) enum Kind {
+    /// The store's header.
+    Header = 0x01,
+    /// The number that the next map gets.
+    NextMap = 0x02,
+    /// The number of the last write.
+    LastWrite = 0x03,
+    /// A map's name, which leads to its number.
+    Name = 0x10,
+    /// A map: what never changes.
+    Map = 0x11,
+    /// One sensor of a map.
+    Sensor = 0x12,
+    /// A map's revision and how many records belong to it.
+    State = 0x13,
+    /// A map that is being deleted.
+    Tombstone = 0x14,
+    /// A robot's sequence window.
+    Window = 0x20,
+    /// A block.
+    Block = 0x30,
+}
+
+impl Kind {
+    const ALL: [Self; 10] = [
+        Self::Header,
+        Self::NextMap,
+        Self::LastWrite,
+        Self::Name,
+        Self::Map,
+        Self::Sensor,
+        Self::State,
+        Self::Tombstone,
+        Self::Window,
+        Self::Block,
+    ];
+
+    /// The kind of a key or record byte.
+    pub(super) fn from_byte(byte: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| *kind as u8 == byte)
+    }
+}
+
+/// Key of the store's header.
+pub(super) const HEADER: [u8; 1] = [Kind::Header as u8];
+
+/// Key of the counter of map numbers.
+pub(super) const NEXT_MAP: [u8; 1] = [Kind::NextMap as u8];
+
+/// Key of the number of the last write.
+pub(super) const LAST_WRITE: [u8; 1] = [Kind::LastWrite as u8];
+
+/// Key of a map's name.
+pub(super) fn name(name: &str) -> Vec<u8> {
+    let mut key = vec![Kind::Name as u8];
+    key.extend_from_slice(name.as_bytes());
+    key
+}
+
+/// `kind`, map: the key of the one record of this kind that a map has, or the prefix of its many.
+pub(super) fn of_map(kind: Kind, id: MapId) -> Vec<u8> {
+    let mut key = Vec::with_capacity(13);
+    key.push(kind as u8);
+    key.extend_from_slice(&id.0.to_be_bytes());
+    key
+}
+
+/// Key of a sensor or window by its name.
+pub(super) fn named(kind: Kind, id: MapId, name: &str) -> Vec<u8> {
+    let mut key = of_map(kind, id);
+    key.extend_from_slice(name.as_bytes());
+    key
+}
+
+/// Key of a block: in Z-order within its map.
+pub(super) fn block(id: MapId, address: BlockAddress) -> Vec<u8> {
+    let mut key = of_map(Kind::Block, id);
+    key.extend_from_slice(&address.morton().to_be_bytes());
+    key
+}
+
+/// What stands behind kind and map in a key.
+pub(super) fn tail(key: &[u8]) -> &[u8] {
+    key.get(5..).unwrap_or_default()
+}
+
+/// The map's number in a key that has one.
+pub(super) fn map_of(key: &[u8]) -> Option<MapId> {
+    key.get(1..5).and_then(|id| id.try_into().ok()).map(|id| MapId(u32::from_be_bytes(id)))
+}
+
+/// The block of a block's key.
+pub(super) fn block_of(key: &[u8]) -> Option<BlockAddress> {
+    tail(key).try_into().ok().map(|code| BlockAddress::from_morton(u64::from_be_bytes(code)))
+}
+
+/// A key in words, for messages.
+pub(super) fn describe(key: &[u8]) -> String {
+    let of_map = |what: &str| match map_of(key) {
+        Some(id) => format!("map {}, {what}", id.0),
+        None => format!("{what} with a short key {}", hexadecimal(key)),
+    };
+    let text = || String::from_utf8_lossy(tail(key)).into_owned();
+    match key.first().copied().and_then(Kind::from_byte) {
+        None => format!("unknown key {}", hexadecimal(key)),
+        Some(Kind::Header) => "the store's header".to_owned(),
+        Some(Kind::NextMap) => "the counter of map numbers".to_owned(),
+        Some(Kind::LastWrite) => "the number of the last write".to_owned(),
+        Some(Kind::Name) => format!("the name {:?}", String::from_utf8_lossy(&key[1..])),
+        Some(Kind::Map) => of_map("its configuration"),
+        Some(Kind::Sensor) => of_map(&format!("sensor {:?}", text())),
+        Some(Kind::State) => of_map("its revision"),
+        Some(Kind::Tombstone) => of_map("its tombstone"),
+        Some(Kind::Window) => of_map(&format!("sequence window of robot {:?}", text())),
+        Some(Kind::Block) => match block_of(key) {
+            Some(address) => of_map(&format!("block ({}, {})", address.x, address.y)),
+            None => of_map(&format!("block with a wrong key {}", hexadecimal(key))),
+        },
+    }
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    let mut text = String::new();
+    for byte in bytes.iter().take(80) {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{byte:02x}");
+    }
+    text
+}

@@ -1,0 +1,206 @@
+//! Floor 3: durable maps.
+//!
+//! [`MapStore`] is the port: everything of one commit is stored at once, and what a call acknowledged survives a power
+//! cut. Two implementations: [`SledStore`], on disk, and [`MemoryStore`], for tests and trials. A map file
+//! ([`write_map_file`], [`read_map_file`]) is one map in one file. `docs/store-format.md` gives every byte of both.
+
+mod block_codec;
+mod bytes;
+mod checks;
+mod config_record;
+mod durability;
+mod keys;
+mod map_file;
+mod mark;
+mod memory_store;
+mod migrate;
+mod names;
+mod record;
+mod sled_catalogue;
+mod sled_open;
+mod sled_store;
+mod window;
+
+#[cfg(test)]
+mod block_codec_tests;
+#[cfg(test)]
+mod durability_tests;
+#[cfg(test)]
+mod record_tests;
+
+use crate::mapping::MapConfig;
+use crate::quadtree::{BlockAddress, BlockView, OccupancyTree};
+use std::collections::BTreeMap;
+use thiserror::Error;
+
+pub use durability::Syncer;
+pub use map_file::{MapFileError, MapFileLimits, read_map_file, read_map_file_within, write_map_file};
+pub use memory_store::MemoryStore;
+pub use migrate::STORE_FORMAT;
+pub use names::{MapName, NameError, RobotName};
+pub use sled_catalogue::Verification;
+pub use sled_open::SledOptions;
+pub use sled_store::SledStore;
+pub use window::{SequenceVerdict, SequenceWindow, WINDOW_LENGTH};
+
+/// A map's number in a store; never used again after the map is deleted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct MapId(pub u32);
+
+/// What a store knows of a map without loading it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredMap {
+    /// Its number.
+    pub id: MapId,
+    /// Its name.
+    pub name: MapName,
+    /// Its configuration.
+    pub config: MapConfig,
+    /// Its revision: 0 when created, one more with every commit.
+    pub revision: u64,
+    /// When it was created, seconds since the Unix epoch.
+    pub created: f64,
+}
+
+/// A map's contents at its last revision.
+#[derive(Debug, Clone)]
+pub struct LoadedMap {
+    /// Its revision.
+    pub revision: u64,
+    /// The quadtree.
+    pub tree: OccupancyTree,
+    /// What every robot has had applied.
+    pub windows: BTreeMap<RobotName, SequenceWindow>,
+}
+
+/// Everything that one commit changes; stored whole or not at all.
+#[derive(Debug, Clone)]
+pub struct Commit {
+    /// The new revision.
+    pub revision: u64,
+    /// The changed blocks, each once.
+    pub blocks: Vec<(BlockAddress, BlockView)>,
+    /// The changed windows.
+    pub windows: Vec<(RobotName, SequenceWindow)>,
+}
+
+/// Why a store refuses or fails.
+#[derive(Debug, Error)]
+pub enum StoreError {
+    /// The name is taken.
+    #[error("map {0} exists")]
+    Exists(MapName),
+    /// There is no such map.
+    #[error("no map {0:?} in the store")]
+    NoMap(MapId),
+    /// A record's checksum or form is wrong.
+    #[error("damaged record: {what}")]
+    Damaged {
+        /// The map and block or record.
+        what: String,
+    },
+    /// Written by a newer version.
+    #[error("{what} has format version {found}, this program reads up to {supported}")]
+    NewerFormat {
+        /// What was read.
+        what: String,
+        /// Its version.
+        found: u32,
+        /// The newest version known.
+        supported: u32,
+    },
+    /// Another process, or another store of this one, has the directory open.
+    #[error("{directory}: another ubbmap has this store open")]
+    Locked {
+        /// The data directory.
+        directory: String,
+    },
+    /// The directory holds no store that can be opened. It is left as it is.
+    #[error("{directory}: {why}")]
+    NoStore {
+        /// The data directory.
+        directory: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// What was to be written does not fit what is stored; nothing was written.
+    #[error("refused: {0}")]
+    Refused(String),
+    /// The store no longer takes writes after a failed one.
+    #[error("the store takes no more writes after a failure: {0}")]
+    FailStop(String),
+    /// Reading or writing failed.
+    #[error("{what}: {source}")]
+    Io {
+        /// What was being done.
+        what: String,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+}
+
+/// Where maps are kept. Calls block; every call that changes something is durable when it returns `Ok`.
+pub trait MapStore: Send + Sync + 'static {
+    /// Every map, by name.
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn list(&self) -> Result<Vec<StoredMap>, StoreError>;
+
+    /// Creates an empty map at revision 0.
+    ///
+    /// # Errors
+    /// [`StoreError::Exists`] and failures.
+    fn create(&self, name: &MapName, config: &MapConfig, created: f64) -> Result<MapId, StoreError>;
+
+    /// Replaces a map's configuration (its sensors).
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn update_config(&self, id: MapId, config: &MapConfig) -> Result<(), StoreError>;
+
+    /// Deletes a map and all that belongs to it.
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn delete(&self, id: MapId) -> Result<(), StoreError>;
+
+    /// Loads a map's last revision.
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn load(&self, id: MapId) -> Result<LoadedMap, StoreError>;
+
+    /// Stores a commit.
+    ///
+    /// # Errors
+    /// [`StoreError::Refused`] when the revision is not above the map's or a block does not fit the map, and failures;
+    /// nothing of the commit is visible after an error.
+    fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError>;
+
+    /// Why the store takes no more writes; `None` while it does.
+    fn failure(&self) -> Option<String> {
+        None
+    }
+
+    /// Maps that are in the store but cannot be read, and why; [`MapStore::list`] leaves them out.
+    fn damaged(&self) -> Vec<DamagedMap> {
+        Vec::new()
+    }
+}
+
+/// A map that is in the store but cannot be read. Its name stays taken; [`MapStore::delete`] removes it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DamagedMap {
+    /// Its number, where that can be read.
+    pub id: Option<MapId>,
+    /// Its name, where that can be read.
+    pub name: Option<MapName>,
+    /// What is wrong.
+    pub what: String,
+}
+
+/// The lock of a mutex whether or not a thread panicked with it: no state here is left half changed by a panic.
+fn lock<T>(mutex: &std::sync::Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}

@@ -1,0 +1,193 @@
+//! What a store on disk holds: read once when it is opened, and checked record by record on demand.
+
+use super::block_codec::BlockCodec;
+use super::bytes::{Malformed, Reader};
+use super::config_record::{Counts, MapRecord, decode_sensor, decode_window};
+use super::keys::{self, Kind};
+use super::record::{self, Record, damaged};
+use super::sled_open::{Database, guarded};
+use super::{DamagedMap, MapId, MapName, RobotName, StoreError, StoredMap};
+use crate::mapping::is_name;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+/// A map at its last durable revision.
+#[derive(Debug, Clone)]
+pub(super) struct Entry {
+    pub(super) stored: StoredMap,
+    pub(super) counts: Counts,
+    /// Held by whoever reads or changes the map's records.
+    pub(super) busy: Arc<Mutex<()>>,
+}
+
+/// All maps of a store.
+#[derive(Debug, Default)]
+pub(super) struct Catalogue {
+    pub(super) maps: BTreeMap<MapId, Entry>,
+    pub(super) damaged: Vec<DamagedMap>,
+}
+
+impl Catalogue {
+    /// The map of a name, or why it cannot be read.
+    pub(super) fn find(&self, name: &MapName) -> Option<Result<MapId, &DamagedMap>> {
+        let sound = self.maps.values().find(|entry| entry.stored.name == *name).map(|entry| Ok(entry.stored.id));
+        sound.or_else(|| self.damaged.iter().find(|damaged| damaged.name.as_ref() == Some(name)).map(Err))
+    }
+
+    /// Reads every map's configuration and revision. What is damaged in one map is noted and does not stop the others.
+    pub(super) fn read(db: &Database) -> Result<Self, StoreError> {
+        let mut catalogue = Self::default();
+        let names: Vec<_> =
+            guarded("reading the names of maps", || db.scan_prefix([Kind::Name as u8]).collect::<Result<_, _>>())?;
+        for (key, value) in names {
+            let mut found = DamagedMap { id: None, name: None, what: String::new() };
+            match read_entry(db, &key, &value, &mut found) {
+                Ok(entry) => {
+                    catalogue.maps.insert(entry.stored.id, entry);
+                }
+                Err(error) => {
+                    found.what = error.to_string();
+                    tracing::error!(
+                        map = found.name.as_ref().map(MapName::as_str),
+                        "map left out, it cannot be read: {}",
+                        found.what
+                    );
+                    catalogue.damaged.push(found);
+                }
+            }
+        }
+        Ok(catalogue)
+    }
+}
+
+/// The content of a record, decoded; what is wrong is named by the key.
+fn content<T>(
+    key: &[u8],
+    kind: Kind,
+    value: &[u8],
+    decode: impl FnOnce(&[u8]) -> Result<T, Malformed>,
+) -> Result<T, StoreError> {
+    decode(record::open(key, kind, value)?.content).map_err(|why| damaged(key, &why.to_string()))
+}
+
+fn number(content: &[u8]) -> Result<u32, Malformed> {
+    let mut reader = Reader::new(content);
+    let number = reader.u32("number")?;
+    reader.end()?;
+    Ok(number)
+}
+
+/// The number that the next map gets.
+pub(super) fn next_map(db: &Database) -> Result<u32, StoreError> {
+    let value = guarded("reading the counter of map numbers", || db.get(keys::NEXT_MAP))?
+        .ok_or_else(|| damaged(&keys::NEXT_MAP, "missing"))?;
+    content(&keys::NEXT_MAP, Kind::NextMap, &value, number)
+}
+
+fn name_of(key: &[u8]) -> Result<MapName, StoreError> {
+    let name = std::str::from_utf8(key.get(1..).unwrap_or_default()).ok().and_then(|name| MapName::new(name).ok());
+    name.ok_or_else(|| damaged(key, "not a name"))
+}
+
+fn read_entry(db: &Database, key: &[u8], value: &[u8], found: &mut DamagedMap) -> Result<Entry, StoreError> {
+    let name = name_of(key)?;
+    found.name = Some(name.clone());
+    let id = MapId(content(key, Kind::Name, value, number)?);
+    found.id = Some(id);
+
+    let get = |kind: Kind| {
+        let key = keys::of_map(kind, id);
+        let value = guarded("reading a map", || db.get(&key))?.ok_or_else(|| damaged(&key, "missing"))?;
+        Ok::<_, StoreError>((key, value))
+    };
+    let (key, value) = get(Kind::Map)?;
+    let map = content(&key, Kind::Map, &value, MapRecord::decode)?;
+    if map.name != name {
+        return Err(damaged(&key, &format!("it is called {}, but {name} leads to it", map.name)));
+    }
+    let (state_key, value) = get(Kind::State)?;
+    let state = record::open(&state_key, Kind::State, &value)?;
+    let counts = Counts::decode(state.content).map_err(|why| damaged(&state_key, &why.to_string()))?;
+
+    let mut sensors = BTreeMap::new();
+    let prefix = keys::of_map(Kind::Sensor, id);
+    let records: Vec<_> = guarded("reading sensors", || db.scan_prefix(&prefix).collect::<Result<_, _>>())?;
+    for (key, value) in &records {
+        let (name, sensor) = read_sensor(key, value)?;
+        sensors.insert(name, sensor);
+    }
+    if sensors.len() as u64 != counts.sensors {
+        return Err(damaged(&key, &format!("{} sensors found of {}", sensors.len(), counts.sensors)));
+    }
+    let config = map.fixed.with_sensors(sensors).map_err(|why| damaged(&key, &why.to_string()))?;
+    let stored = StoredMap { id, name, config, revision: state.revision, created: map.created };
+    Ok(Entry { stored, counts, busy: Arc::default() })
+}
+
+fn read_sensor(key: &[u8], value: &[u8]) -> Result<(String, crate::sensor::SensorModel), StoreError> {
+    let name = std::str::from_utf8(keys::tail(key)).ok().filter(|name| is_name(name));
+    let name = name.ok_or_else(|| damaged(key, "not a name"))?;
+    let sensor = content(key, Kind::Sensor, value, |content| {
+        let mut reader = Reader::new(content);
+        let sensor = decode_sensor(&mut reader)?;
+        reader.end()?;
+        Ok(sensor)
+    })?;
+    Ok((name.to_owned(), sensor))
+}
+
+/// A record that belongs to a revision may not be of a later one.
+pub(super) fn not_later(key: &[u8], record: &Record<'_>, revision: u64) -> Result<(), StoreError> {
+    if record.revision <= revision {
+        return Ok(());
+    }
+    Err(damaged(key, &format!("of revision {}, but the map's is {revision}", record.revision)))
+}
+
+/// A robot's window out of its record.
+pub(super) fn read_window(
+    key: &[u8],
+    value: &[u8],
+    revision: u64,
+) -> Result<(RobotName, super::SequenceWindow), StoreError> {
+    let name = std::str::from_utf8(keys::tail(key)).ok().and_then(|name| RobotName::new(name).ok());
+    let name = name.ok_or_else(|| damaged(key, "not a robot's name"))?;
+    let record = record::open(key, Kind::Window, value)?;
+    not_later(key, &record, revision)?;
+    let mut reader = Reader::new(record.content);
+    let window = decode_window(&mut reader).and_then(|window| reader.end().map(|()| window));
+    Ok((name, window.map_err(|why| damaged(key, &why.to_string()))?))
+}
+
+/// What a check of every record found.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Verification {
+    /// Maps that can be listed.
+    pub maps: u64,
+    /// Records looked at.
+    pub records: u64,
+    /// Bytes of their keys and values.
+    pub bytes: u64,
+    /// What is wrong, each with its map and record.
+    pub problems: Vec<String>,
+}
+
+/// Checks one record by itself.
+pub(super) fn check_record(key: &[u8], value: &[u8], codec: Option<&BlockCodec>) -> Result<(), StoreError> {
+    let kind = key.first().copied().and_then(Kind::from_byte).ok_or_else(|| damaged(key, "unknown kind"))?;
+    match kind {
+        Kind::Header => content(key, kind, value, super::config_record::Header::format_of).map(|_| ()),
+        Kind::NextMap => content(key, kind, value, number).map(|_| ()),
+        Kind::LastWrite => content(key, kind, value, |bytes| Reader::new(bytes).u64("number")).map(|_| ()),
+        Kind::Name => name_of(key).and_then(|_| content(key, kind, value, number)).map(|_| ()),
+        Kind::Map => content(key, kind, value, MapRecord::decode).map(|_| ()),
+        Kind::Sensor => read_sensor(key, value).map(|_| ()),
+        Kind::State => content(key, kind, value, Counts::decode).map(|_| ()),
+        Kind::Tombstone => content(key, kind, value, |_| Ok(())),
+        Kind::Window => read_window(key, value, u64::MAX).map(|_| ()),
+        Kind::Block => match codec {
+            Some(codec) => content(key, kind, value, |bits| codec.decode(bits)).map(|_| ()),
+            None => record::open(key, kind, value).map(|_| ()),
+        },
+    }
+}

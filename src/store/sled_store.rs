@@ -1,0 +1,449 @@
+//! Maps on disk, in sled: one tree for all maps, so that a commit is one atomic batch.
+//!
+//! What is durable: sled's `flush` hands the log to the operating system, and the data file is synced after it; only
+//! then is a call answered. After a failed write nothing is written any more, and reads show what was durable before.
+
+use super::block_codec::BlockCodec;
+use super::checks::{check_commit, holds};
+use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor, encode_window};
+use super::durability::{Durability, Syncer, Ticket};
+use super::keys::{self, Kind};
+use super::record::{self, damaged};
+use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map, not_later, read_window};
+use super::sled_open::{Database, SledOptions, database_path, guarded, open_directory};
+use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, StoreError, StoredMap, lock};
+use crate::mapping::MapConfig;
+use crate::quadtree::{BlockView, OccupancyTree};
+use sled::IVec;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+/// Records removed in one batch while a deleted map is cleared away.
+const PURGE_BATCH: usize = 1000;
+
+/// A store in a directory. One process may have it open at a time.
+pub struct SledStore {
+    db: Database,
+    durability: Durability,
+    catalogue: Mutex<Catalogue>,
+    /// The number of the next map; held while maps are created and deleted.
+    next_map: Mutex<u32>,
+    /// The number of the last write; held while a batch is applied, so that numbers are in the order of the log.
+    last_write: Mutex<u64>,
+    /// After a failure: what the records of the changes that did not become durable were before.
+    undone: Mutex<Before>,
+    /// Held until all else is dropped.
+    _lock: File,
+}
+
+/// What records were, by key; `None` where there was none.
+type Before = BTreeMap<Vec<u8>, Option<IVec>>;
+
+/// Is shown keys and values.
+type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<(), StoreError> + 'a;
+
+/// One record to be written (or removed: `None`), and what was there before.
+struct Change {
+    key: Vec<u8>,
+    value: Option<Vec<u8>>,
+    before: Option<IVec>,
+}
+
+impl std::fmt::Debug for SledStore {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SledStore").field("maps", &lock(&self.catalogue).maps.len()).finish_non_exhaustive()
+    }
+}
+
+impl SledStore {
+    /// Opens the store in a directory; makes an empty one where there is none. What is left of maps that were being
+    /// deleted is cleared away.
+    ///
+    /// # Errors
+    /// [`StoreError::Locked`], [`StoreError::NoStore`], [`StoreError::NewerFormat`], [`StoreError::Damaged`],
+    /// [`StoreError::Io`]; the directory is left as it is. Damage of single maps is no error: see
+    /// [`MapStore::damaged`].
+    pub fn open(directory: &Path, options: SledOptions) -> Result<Self, StoreError> {
+        Self::open_with(directory, options, |syncer| syncer)
+    }
+
+    /// As [`SledStore::open`], with the sync of the data file replaced: for tests that count, delay or fail it.
+    ///
+    /// # Errors
+    /// As [`SledStore::open`].
+    pub fn open_with(
+        directory: &Path,
+        options: SledOptions,
+        wrap: impl FnOnce(Box<dyn Syncer>) -> Box<dyn Syncer>,
+    ) -> Result<Self, StoreError> {
+        let opened = open_directory(directory, options)?;
+        let catalogue = Catalogue::read(&opened.db)?;
+        let mut next = next_map(&opened.db)?;
+        if let Some((last, _)) = catalogue.maps.last_key_value() {
+            next = next.max(last.0.saturating_add(1));
+        }
+        let data = database_path(directory).join("db").display().to_string();
+        let syncer = wrap(opened.syncer);
+        let flushed = opened.db.clone();
+        let mut mark = opened.mark;
+        let make_durable = move |last_write| {
+            flushed.flush().map_err(|error| format!("flushing {data}: {error}"))?;
+            syncer.sync().map_err(|error| format!("syncing {data}: {error}"))?;
+            mark.note(last_write).map_err(|error| format!("noting the last write beside {data}: {error}"))
+        };
+        let nudged = opened.db.clone();
+        let nudge = move || {
+            if nudged.context.global_error().is_err() {
+                // It fails as the one that hangs should have, and wakes that one.
+                let _ = nudged.flush();
+            }
+        };
+        let durability = Durability::start(opened.last_write, make_durable, nudge)
+            .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
+        let store = Self {
+            db: opened.db,
+            durability,
+            catalogue: Mutex::new(catalogue),
+            next_map: Mutex::new(next),
+            last_write: Mutex::new(opened.last_write),
+            undone: Mutex::default(),
+            _lock: opened.lock,
+        };
+        store.finish_deletions()?;
+        Ok(store)
+    }
+
+    /// Checks every record of the store.
+    ///
+    /// # Errors
+    /// When the records cannot be read at all; what is wrong with single ones is in the answer.
+    pub fn verify(&self) -> Result<Verification, StoreError> {
+        let maps = self.list()?;
+        let codec = |id: Option<MapId>| {
+            let map = maps.iter().find(|map| Some(map.id) == id)?;
+            Some(BlockCodec::new(map.config.grid().depth(), map.config.scale()))
+        };
+        let mut found = Verification { maps: maps.len() as u64, ..Verification::default() };
+        let mut of_map = (None, None);
+        self.scan(&[], &mut |key, value| {
+            let id = keys::map_of(key);
+            if of_map.0 != id {
+                of_map = (id, codec(id));
+            }
+            found.records += 1;
+            found.bytes += (key.len() + value.len()) as u64;
+            found.problems.extend(check_record(key, value, of_map.1.as_ref()).err().map(|error| error.to_string()));
+            Ok(())
+        })?;
+        let known = |problems: &[String], what: &str| problems.iter().any(|problem| what.contains(problem.as_str()));
+        let of_maps = self.damaged().into_iter().map(|damaged| damaged.what);
+        let of_contents = maps.iter().filter_map(|map| self.load(map.id).err().map(|error| error.to_string()));
+        for what in of_maps.chain(of_contents) {
+            if !known(&found.problems, &what) {
+                found.problems.push(what);
+            }
+        }
+        Ok(found)
+    }
+
+    /// Bytes of the store's files.
+    ///
+    /// # Errors
+    /// When the directory cannot be read.
+    pub fn disk_bytes(&self) -> Result<u64, StoreError> {
+        guarded("measuring the store", || self.db.size_on_disk())
+    }
+
+    fn writable(&self) -> Result<(), StoreError> {
+        self.durability.failure().map_or(Ok(()), |reason| Err(StoreError::FailStop(reason)))
+    }
+
+    /// The map as it is, and its lock: to be taken, and the entry then read again.
+    fn busy(&self, id: MapId) -> Result<Arc<Mutex<()>>, StoreError> {
+        self.entry(id).map(|entry| entry.busy)
+    }
+
+    fn entry(&self, id: MapId) -> Result<Entry, StoreError> {
+        let catalogue = lock(&self.catalogue);
+        if let Some(damage) = catalogue.damaged.iter().find(|damage| damage.id == Some(id)) {
+            return Err(StoreError::Damaged { what: damage.what.clone() });
+        }
+        catalogue.maps.get(&id).cloned().ok_or(StoreError::NoMap(id))
+    }
+
+    fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
+        let before = guarded("reading what is to be changed", || self.db.get(&key))?;
+        Ok(Change { key, value, before })
+    }
+
+    fn put(&self, key: Vec<u8>, revision: u64, content: &[u8]) -> Result<Change, StoreError> {
+        let value = record::seal(&key, revision, content);
+        self.change(key, Some(value))
+    }
+
+    /// Writes all of the changes or none, and returns when they are durable. The records' map (or the catalogue) must
+    /// be held. After an error reads show what was there before.
+    fn write(&self, changes: Vec<Change>) -> Result<(), StoreError> {
+        self.writable()?;
+        let mut batch = sled::Batch::default();
+        let mut before = Vec::with_capacity(changes.len());
+        for change in changes {
+            match change.value {
+                Some(value) => batch.insert(change.key.as_slice(), value),
+                None => batch.remove(change.key.as_slice()),
+            }
+            before.push((change.key, change.before));
+        }
+        let applied = self.apply(batch).map_err(|error| error.to_string());
+        applied.and_then(|ticket| self.durability.wait(ticket)).map_err(|reason| {
+            let mut undone = lock(&self.undone);
+            for (key, value) in before {
+                undone.entry(key).or_insert(value);
+            }
+            StoreError::FailStop(reason)
+        })
+    }
+
+    /// Applies a batch with the next number; a failure is for good.
+    fn apply(&self, mut batch: sled::Batch) -> Result<Ticket, StoreError> {
+        let mut last_write = lock(&self.last_write);
+        *last_write += 1;
+        batch.insert(&keys::LAST_WRITE, record::seal(&keys::LAST_WRITE, 0, &last_write.to_be_bytes()));
+        match guarded("writing", || self.db.apply_batch(batch)) {
+            Ok(()) => Ok(self.durability.applied()),
+            Err(error) => {
+                self.durability.fail(&error.to_string());
+                Err(error)
+            }
+        }
+    }
+
+    /// Every record whose key begins so, as it was last durable. Its map must be held, but for checks.
+    fn scan(&self, prefix: &[u8], visit: &mut Visit<'_>) -> Result<(), StoreError> {
+        let undone: Before = {
+            let all = lock(&self.undone);
+            let from = all.range(prefix.to_vec()..).take_while(|(key, _)| key.starts_with(prefix));
+            from.map(|(key, value)| (key.clone(), value.clone())).collect()
+        };
+        let mut records = self.db.scan_prefix(prefix);
+        while let Some((key, value)) = guarded("reading records", || records.next().transpose())? {
+            if !undone.contains_key(key.as_ref()) {
+                visit(&key, &value)?;
+            }
+        }
+        undone.iter().try_for_each(|(key, value)| value.as_ref().map_or(Ok(()), |value| visit(key, value)))
+    }
+
+    /// The records of a checked commit, and the counts after it.
+    fn commit_changes(&self, entry: &Entry, commit: &Commit) -> Result<(Vec<Change>, Counts), StoreError> {
+        let StoredMap { id, config, .. } = &entry.stored;
+        let codec = BlockCodec::new(config.grid().depth(), config.scale());
+        let mut counts = entry.counts;
+        let mut changes = Vec::with_capacity(commit.blocks.len() + commit.windows.len() + 1);
+        let mut content = Vec::new();
+        for (address, view) in &commit.blocks {
+            let key = keys::block(*id, *address);
+            // A block that is unknown throughout is one that is not there.
+            let change = if *view == BlockView::Uniform(config.scale().unknown()) {
+                self.change(key, None)?
+            } else {
+                content.clear();
+                codec.encode(view, &mut content).map_err(|why| StoreError::Refused(why.to_string()))?;
+                self.put(key, commit.revision, &content)?
+            };
+            counts.blocks += u64::from(change.value.is_some());
+            counts.blocks = counts.blocks.saturating_sub(u64::from(change.before.is_some()));
+            changes.push(change);
+        }
+        for (robot, window) in &commit.windows {
+            content.clear();
+            encode_window(window, &mut content);
+            let change = self.put(keys::named(Kind::Window, *id, robot.as_str()), commit.revision, &content)?;
+            counts.windows += u64::from(change.before.is_none());
+            changes.push(change);
+        }
+        changes.push(self.put(keys::of_map(Kind::State, *id), commit.revision, &counts.encode())?);
+        Ok((changes, counts))
+    }
+
+    /// The changes from one set of sensors to another.
+    fn sensor_changes(&self, id: MapId, old: Option<&MapConfig>, new: &MapConfig) -> Result<Vec<Change>, StoreError> {
+        let key = |name: &String| keys::named(Kind::Sensor, id, name);
+        let mut changes = Vec::new();
+        for (name, sensor) in new.sensors() {
+            let mut content = Vec::new();
+            encode_sensor(sensor, &mut content);
+            changes.push(self.put(key(name), 0, &content)?);
+        }
+        for name in old.iter().flat_map(|old| old.sensors().keys()) {
+            if !new.sensors().contains_key(name) {
+                changes.push(self.change(key(name), None)?);
+            }
+        }
+        Ok(changes)
+    }
+
+    /// Clears away what is left of maps whose deletion was decided but not finished.
+    fn finish_deletions(&self) -> Result<(), StoreError> {
+        let mut left = Vec::new();
+        self.scan(&[Kind::Tombstone as u8], &mut |key, _| {
+            left.extend(keys::map_of(key));
+            Ok(())
+        })?;
+        left.into_iter().try_for_each(|id| self.purge(id))
+    }
+
+    /// Removes the records of a map that has a tombstone, and the tombstone last.
+    fn purge(&self, id: MapId) -> Result<(), StoreError> {
+        for kind in [Kind::Block, Kind::Window, Kind::Sensor] {
+            let prefix = keys::of_map(kind, id);
+            loop {
+                let found: Vec<IVec> = guarded("reading what is to be removed", || {
+                    self.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
+                })?;
+                if found.is_empty() {
+                    break;
+                }
+                let remove = |key: IVec| Change { key: key.to_vec(), value: None, before: None };
+                self.write(found.into_iter().map(remove).collect())?;
+            }
+        }
+        self.write(vec![Change { key: keys::of_map(Kind::Tombstone, id), value: None, before: None }])
+    }
+}
+
+impl MapStore for SledStore {
+    fn list(&self) -> Result<Vec<StoredMap>, StoreError> {
+        let mut maps: Vec<StoredMap> = lock(&self.catalogue).maps.values().map(|entry| entry.stored.clone()).collect();
+        maps.sort_by(|a, b| a.name.cmp(&b.name));
+        Ok(maps)
+    }
+
+    fn create(&self, name: &MapName, config: &MapConfig, created: f64) -> Result<MapId, StoreError> {
+        let mut next = lock(&self.next_map);
+        self.writable()?;
+        match lock(&self.catalogue).find(name) {
+            None => {}
+            Some(Ok(_)) => return Err(StoreError::Exists(name.clone())),
+            Some(Err(damage)) => return Err(StoreError::Damaged { what: damage.what.clone() }),
+        }
+        let id = MapId(*next);
+        let after = next.checked_add(1).ok_or_else(|| StoreError::Refused("no map numbers are left".to_owned()))?;
+        let record = MapRecord { name: name.clone(), created, fixed: FixedConfig::of(config) };
+        let counts = Counts { sensors: config.sensors().len() as u64, ..Counts::default() };
+        let mut changes = self.sensor_changes(id, None, config)?;
+        changes.push(self.put(keys::NEXT_MAP.to_vec(), 0, &after.to_be_bytes())?);
+        changes.push(self.put(keys::name(name.as_str()), 0, &id.0.to_be_bytes())?);
+        changes.push(self.put(keys::of_map(Kind::Map, id), 0, &record.encode())?);
+        changes.push(self.put(keys::of_map(Kind::State, id), 0, &counts.encode())?);
+        self.write(changes)?;
+        *next = after;
+        let stored = StoredMap { id, name: name.clone(), config: config.clone(), revision: 0, created };
+        lock(&self.catalogue).maps.insert(id, Entry { stored, counts, busy: Arc::default() });
+        Ok(id)
+    }
+
+    fn update_config(&self, id: MapId, config: &MapConfig) -> Result<(), StoreError> {
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let entry = self.entry(id)?;
+        if FixedConfig::of(config) != FixedConfig::of(&entry.stored.config) {
+            return Err(StoreError::Refused("only the sensors of a map can change".to_owned()));
+        }
+        let counts = Counts { sensors: config.sensors().len() as u64, ..entry.counts };
+        let mut changes = self.sensor_changes(id, Some(&entry.stored.config), config)?;
+        changes.push(self.put(keys::of_map(Kind::State, id), entry.stored.revision, &counts.encode())?);
+        self.write(changes)?;
+        if let Some(entry) = lock(&self.catalogue).maps.get_mut(&id) {
+            entry.counts = counts;
+            entry.stored.config = config.clone();
+        }
+        Ok(())
+    }
+
+    fn delete(&self, id: MapId) -> Result<(), StoreError> {
+        let creation = lock(&self.next_map);
+        let damage = lock(&self.catalogue).damaged.iter().find(|damage| damage.id == Some(id)).cloned();
+        let (name, busy) = match damage {
+            Some(damage) => (damage.name, Arc::default()),
+            None => self.entry(id).map(|entry| (Some(entry.stored.name), entry.busy))?,
+        };
+        let _held = lock(&busy);
+        let mut changes = Vec::new();
+        changes.extend(name.map(|name| self.change(keys::name(name.as_str()), None)).transpose()?);
+        changes.push(self.change(keys::of_map(Kind::Map, id), None)?);
+        changes.push(self.change(keys::of_map(Kind::State, id), None)?);
+        changes.push(self.put(keys::of_map(Kind::Tombstone, id), 0, &[])?);
+        self.write(changes)?;
+        let mut catalogue = lock(&self.catalogue);
+        catalogue.maps.remove(&id);
+        catalogue.damaged.retain(|damage| damage.id != Some(id));
+        drop(catalogue);
+        drop(creation);
+        if let Err(error) = self.purge(id) {
+            // The map is deleted: the rest goes when the store is opened next.
+            tracing::warn!(map = id.0, "records of a deleted map are left: {error}");
+        }
+        Ok(())
+    }
+
+    fn load(&self, id: MapId) -> Result<LoadedMap, StoreError> {
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let Entry { stored, counts, .. } = self.entry(id)?;
+        let (grid, scale) = (stored.config.grid(), stored.config.scale());
+        let codec = BlockCodec::new(grid.depth(), scale);
+        let mut tree = OccupancyTree::new(grid.depth(), scale);
+        let mut blocks = 0;
+        self.scan(&keys::of_map(Kind::Block, id), &mut |key, value| {
+            let address = keys::block_of(key).filter(|address| holds(grid, *address));
+            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
+            let record = record::open(key, Kind::Block, value)?;
+            not_later(key, &record, stored.revision)?;
+            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
+            tree.set_block(address, view);
+            blocks += 1;
+            Ok(())
+        })?;
+        let mut windows = BTreeMap::new();
+        self.scan(&keys::of_map(Kind::Window, id), &mut |key, value| {
+            let (robot, window) = read_window(key, value, stored.revision)?;
+            windows.insert(robot, window);
+            Ok(())
+        })?;
+        for (what, found, expected) in
+            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
+        {
+            if found != expected {
+                let why = format!("{found} {what} found of {expected}");
+                return Err(damaged(&keys::of_map(Kind::State, id), &why));
+            }
+        }
+        Ok(LoadedMap { revision: stored.revision, tree, windows })
+    }
+
+    fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        self.writable()?;
+        let entry = self.entry(id)?;
+        check_commit(&entry.stored, commit)?;
+        let (changes, counts) = self.commit_changes(&entry, commit)?;
+        self.write(changes)?;
+        if let Some(entry) = lock(&self.catalogue).maps.get_mut(&id) {
+            entry.stored.revision = commit.revision;
+            entry.counts = counts;
+        }
+        Ok(())
+    }
+
+    fn failure(&self) -> Option<String> {
+        self.durability.failure()
+    }
+
+    fn damaged(&self) -> Vec<DamagedMap> {
+        lock(&self.catalogue).damaged.clone()
+    }
+}
