@@ -1,0 +1,44 @@
+//! The memory budget: what is given out comes back, and who waits for nothing is told so.
+
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use super::ErrorKind;
+use super::budget::Budget;
+use std::sync::Arc;
+
+#[test]
+fn others_in_the_way_are_busy_and_a_request_of_its_own_size_is_too_large() {
+    let budget = Arc::new(Budget::new(100));
+    let (first, second) = (budget.reservation(), budget.reservation());
+    first.grow(60).unwrap();
+    second.grow(40).unwrap();
+    assert_eq!(second.grow(1).unwrap_err().kind, ErrorKind::Busy);
+    assert_eq!(second.grow(61).unwrap_err().kind, ErrorKind::TooManyScans);
+    assert_eq!(second.grow(usize::MAX).unwrap_err().kind, ErrorKind::TooManyScans);
+    assert_eq!(budget.used(), 100);
+    drop(first);
+    second.grow(60).unwrap();
+    assert_eq!(budget.used(), 100);
+    drop(second);
+    assert_eq!(budget.used(), 0);
+}
+
+#[test]
+fn many_threads_never_hold_more_than_the_limit() {
+    let budget = Arc::new(Budget::new(1000));
+    std::thread::scope(|scope| {
+        for thread in 1..=4_usize {
+            let budget = &budget;
+            scope.spawn(move || {
+                for i in 0..20_000 {
+                    let reservation = budget.reservation();
+                    for _ in 0..3 {
+                        let _ = reservation.grow(100 * thread + i % 50);
+                    }
+                    assert!(budget.used() <= 1000);
+                }
+            });
+        }
+    });
+    assert_eq!(budget.used(), 0);
+}

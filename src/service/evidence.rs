@@ -1,0 +1,243 @@
+//! From requests to evidence: every scan checked and computed on its own, on all cores, before the map's writer.
+
+use super::budget::{Budget, Reservation};
+use super::metrics;
+use super::writer::{Job, Numbered, Published, ScanEvidence};
+use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings};
+use crate::mapping::{MapConfig, Surveyor};
+use crate::quadtree::{BlockMasks, LeafMasks, RowMask};
+use crate::sensor::{Angles, PoseBox, Scan, ScanSpec, SensorModel};
+use crate::store::{MapName, RobotName, SequenceVerdict};
+use rayon::prelude::*;
+use std::cell::RefCell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Instant;
+use tokio::sync::{mpsc, oneshot};
+
+/// The sensor of scans that name none.
+const DEFAULT_SENSOR: &str = "default";
+
+/// Bytes of a decoded scan beside its ranges and angles, about.
+const SCAN_OVERHEAD: usize = 512;
+
+thread_local! {
+    /// Scratch memory of this thread.
+    static SURVEYOR: RefCell<Surveyor> = RefCell::default();
+}
+
+/// The threads that compute evidence, and the memory that all requests under way may hold.
+pub(super) struct EvidencePool {
+    threads: rayon::ThreadPool,
+    pub(super) budget: Arc<Budget>,
+}
+
+/// One request on its way to a map's writer.
+pub(super) struct Task {
+    pub(super) map: MapName,
+    pub(super) config: Arc<MapConfig>,
+    /// The root when the request came: what its windows call a duplicate is durable.
+    pub(super) published: Arc<Published>,
+    pub(super) settings: Arc<ServiceSettings>,
+    pub(super) scans: Vec<ScanInput>,
+    pub(super) reservation: Reservation,
+    /// The request's place in the writer's queue.
+    pub(super) place: mpsc::OwnedPermit<Job>,
+    pub(super) inside: super::gate::Inside,
+    pub(super) reply: oneshot::Sender<Result<InsertAnswer, ServiceError>>,
+}
+
+/// What became of one scan before the writer.
+enum Prepared {
+    Evidence(ScanEvidence),
+    Duplicate,
+    Refused(Rejection),
+    /// No memory for its evidence: the whole request goes back.
+    Exhausted(ServiceError),
+}
+
+/// Why a scan is refused: a stable code and a sentence.
+type Refusal = (&'static str, String);
+
+impl EvidencePool {
+    pub(super) fn new(settings: &ServiceSettings) -> Result<Self, ServiceError> {
+        let threads = rayon::ThreadPoolBuilder::new()
+            .num_threads(settings.evidence_threads)
+            .thread_name(|i| format!("evidence-{i}"))
+            .build()
+            .map_err(|e| ServiceError::new(ErrorKind::Internal, format!("cannot start threads for evidence: {e}")))?;
+        Ok(Self { threads, budget: Arc::new(Budget::new(settings.max_bytes_in_flight)) })
+    }
+
+    /// Computes a request's evidence and hands it to the map's writer. Returns at once.
+    pub(super) fn submit(&self, task: Task) {
+        self.threads.spawn(move || task.run());
+    }
+}
+
+/// Bytes that a request's decoded scans take, about.
+pub(super) fn input_bytes(scans: &[ScanInput]) -> usize {
+    let angles = |angles: &Angles| match angles {
+        Angles::Uniform { .. } => 0,
+        Angles::Listed(list) => size_of_val(list.as_slice()),
+    };
+    scans.iter().map(|scan| SCAN_OVERHEAD + size_of_val(scan.ranges.as_slice()) + angles(&scan.angles)).sum()
+}
+
+impl Task {
+    fn run(mut self) {
+        if self.reply.is_closed() {
+            return; // The client has gone, nothing was promised to it.
+        }
+        let started = Instant::now();
+        let scans = std::mem::take(&mut self.scans);
+        let prepared: Vec<Prepared> =
+            scans.into_par_iter().enumerate().map(|(index, scan)| self.prepare(index, scan)).collect();
+        metrics::evidence(started.elapsed());
+        let mut evidence = Vec::with_capacity(prepared.len());
+        let mut answer = InsertAnswer { revision: self.published.revision, ..InsertAnswer::default() };
+        let mut exhausted = None;
+        for item in prepared {
+            match item {
+                Prepared::Evidence(scan) => evidence.push(scan),
+                Prepared::Duplicate => answer.duplicates += 1,
+                Prepared::Refused(rejection) => answer.rejected.push(rejection),
+                Prepared::Exhausted(error) => exhausted = Some(error),
+            }
+        }
+        if exhausted.is_none() && !evidence.is_empty() {
+            self.place.send(Job {
+                scans: evidence,
+                answer,
+                reply: self.reply,
+                reservation: self.reservation,
+                queued: metrics::Queued::new(),
+                inside: self.inside,
+            });
+            return;
+        }
+        // What the request held is given back before the answer, so that its sender's next request finds it free.
+        drop((evidence, self.reservation, self.place));
+        if exhausted.is_none() {
+            metrics::scans(metrics::Outcome::Duplicate, answer.duplicates);
+            metrics::scans(metrics::Outcome::Rejected, answer.rejected.len() as u64);
+        }
+        // A client that has gone is told nothing.
+        let _ = self.reply.send(exhausted.map_or(Ok(answer), Err));
+    }
+
+    /// Checks and computes one scan; a panic of the engine is that scan's alone.
+    fn prepare(&self, index: usize, input: ScanInput) -> Prepared {
+        let refused = |(code, detail): Refusal| Prepared::Refused(Rejection { index, code, detail });
+        let numbered = match numbered(&input) {
+            Ok(numbered) => numbered,
+            Err(refusal) => return refused(refusal),
+        };
+        // What is known already needs no computing. The writer decides about all others.
+        if let Some(Numbered { robot, sequence }) = &numbered
+            && let Some(window) = self.published.windows.get(robot)
+        {
+            match window.verdict(*sequence) {
+                SequenceVerdict::New => {}
+                SequenceVerdict::Duplicate => return Prepared::Duplicate,
+                SequenceVerdict::TooOld => return refused(too_old(*sequence, window.highest())),
+            }
+        }
+        let computed = shielded(|| self.compute(input)).unwrap_or_else(|| {
+            let (robot, sequence) = numbered.as_ref().map_or(("", None), |n| (n.robot.as_str(), Some(n.sequence)));
+            tracing::error!(map = %self.map, robot, sequence, index, "computing a scan's evidence panicked");
+            Err(("INTERNAL", "the server failed to compute this scan".to_owned()))
+        });
+        match computed {
+            Err(refusal) => refused(refusal),
+            Ok(masks) => match self.reservation.grow(evidence_bytes(&masks)) {
+                Ok(()) => Prepared::Evidence(ScanEvidence { index, numbered, masks }),
+                Err(error) => Prepared::Exhausted(error),
+            },
+        }
+    }
+
+    fn compute(&self, input: ScanInput) -> Result<LeafMasks, Refusal> {
+        let scan = self.checked(input)?;
+        metrics::beams_failed(scan.reading_counts().failed as u64);
+        Ok(with_surveyor(|surveyor| surveyor.survey(&self.config, &scan)))
+    }
+
+    fn checked(&self, input: ScanInput) -> Result<Scan, Refusal> {
+        let sensor = self.sensor(&input.sensor)?;
+        let pose = input.pose.ok_or_else(|| ("POSE_MISSING", "pose is missing".to_owned()))?;
+        let pose = PoseBox::new(pose.x, pose.y, pose.theta, &self.settings.pose).map_err(scan_refusal)?;
+        let spec = ScanSpec {
+            pose,
+            angles: input.angles,
+            ranges: input.ranges,
+            footprint_radius: input.footprint_radius,
+            sweep_rotation: input.sweep_rotation,
+            sweep_translation: input.sweep_translation,
+        };
+        let scan = Scan::new(spec, sensor, &self.settings.scan).map_err(scan_refusal)?;
+        if Surveyor::reaches(&self.config, &scan) {
+            Ok(scan)
+        } else {
+            Err(("POSE_OUTSIDE_MAP", "pose: all that the scan can reach lies outside the map's root".to_owned()))
+        }
+    }
+
+    fn sensor(&self, name: &str) -> Result<SensorModel, Refusal> {
+        let name = if name.is_empty() { DEFAULT_SENSOR } else { name };
+        self.config.sensors().get(name).copied().ok_or_else(|| {
+            let shown: String = name.chars().take(80).collect();
+            ("UNKNOWN_SENSOR", format!("sensor {shown:?} is not in the map's configuration"))
+        })
+    }
+}
+
+/// Lends this thread's surveyor. It is out of its place while in use: a panic takes it away, and the next one is new.
+pub(super) fn with_surveyor<T>(work: impl FnOnce(&mut Surveyor) -> T) -> T {
+    let mut surveyor = SURVEYOR.take();
+    let result = work(&mut surveyor);
+    SURVEYOR.set(surveyor);
+    result
+}
+
+/// `None` when the work panicked.
+pub(super) fn shielded<T>(work: impl FnOnce() -> T) -> Option<T> {
+    catch_unwind(AssertUnwindSafe(work)).ok()
+}
+
+fn numbered(input: &ScanInput) -> Result<Option<Numbered>, Refusal> {
+    let robot = if input.robot.is_empty() {
+        None
+    } else {
+        Some(RobotName::new(&input.robot).map_err(|e| ("INVALID_ROBOT", format!("robot: {e}")))?)
+    };
+    match (robot, input.sequence) {
+        (Some(robot), Some(sequence)) => Ok(Some(Numbered { robot, sequence })),
+        (None, Some(_)) => Err(("INVALID_ROBOT", "robot is missing: a scan with a sequence needs it".to_owned())),
+        (_, None) => Ok(None),
+    }
+}
+
+/// The refusal of a sequence that its window no longer holds.
+pub(super) fn too_old(sequence: u64, highest: Option<u64>) -> Refusal {
+    let highest = highest.unwrap_or_default();
+    let detail = format!(
+        "sequence {sequence} is {} or more behind the highest applied, {highest}: whether it was applied before \
+         cannot be told",
+        crate::store::WINDOW_LENGTH
+    );
+    ("SEQUENCE_TOO_OLD", detail)
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "the shape that map_err takes")]
+fn scan_refusal(error: crate::sensor::ScanError) -> Refusal {
+    (error.code(), error.to_string())
+}
+
+fn evidence_bytes(masks: &LeafMasks) -> usize {
+    let block = |masks: &BlockMasks| match masks {
+        BlockMasks::AllEmpty => 0,
+        BlockMasks::Some { .. } => 2 * size_of::<RowMask>(),
+    };
+    size_of_val(masks.blocks.as_slice()) + masks.blocks.iter().map(|(_, masks)| block(masks)).sum::<usize>()
+}

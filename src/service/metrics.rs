@@ -1,0 +1,107 @@
+//! What the service counts and times. Without an installed recorder every call here does nothing.
+
+use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use std::time::{Duration, Instant};
+
+const SCANS: &str = "ubbmap_scans_total";
+const BEAMS_FAILED: &str = "ubbmap_beams_failed_total";
+const COMMITS: &str = "ubbmap_commits_total";
+const COMMIT_SECONDS: &str = "ubbmap_commit_seconds";
+const COMMIT_SCANS: &str = "ubbmap_commit_scans";
+const EVIDENCE_SECONDS: &str = "ubbmap_evidence_seconds";
+const QUEUE_DEPTH: &str = "ubbmap_queue_depth";
+const QUERY_SECONDS: &str = "ubbmap_query_seconds";
+const MAPS_OPEN: &str = "ubbmap_maps_open";
+
+/// Tells the recorder what each metric means. Call it once, after the recorder is installed.
+pub fn describe_metrics() {
+    describe_counter!(SCANS, "Scans by outcome: applied, duplicate, rejected, failed");
+    describe_counter!(BEAMS_FAILED, "Beams of computed scans that were failed measurements");
+    describe_counter!(COMMITS, "Commits by outcome: stored, failed");
+    describe_histogram!(COMMIT_SECONDS, "Seconds from applying a round of scans to its being durable");
+    describe_histogram!(COMMIT_SCANS, "Scans applied in one commit");
+    describe_histogram!(EVIDENCE_SECONDS, "Seconds for computing the evidence of one request");
+    describe_gauge!(QUEUE_DEPTH, "Insert requests that wait at the writers of all maps or are being committed");
+    describe_histogram!(QUERY_SECONDS, "Seconds for computing a query's answer, by kind");
+    describe_gauge!(MAPS_OPEN, "Maps held in memory");
+}
+
+/// What became of scans.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Outcome {
+    Applied,
+    Duplicate,
+    Rejected,
+    /// Good, but the store did not take them.
+    Failed,
+}
+
+pub(super) fn scans(outcome: Outcome, count: u64) {
+    let label = match outcome {
+        Outcome::Applied => "applied",
+        Outcome::Duplicate => "duplicate",
+        Outcome::Rejected => "rejected",
+        Outcome::Failed => "failed",
+    };
+    if count > 0 {
+        counter!(SCANS, "outcome" => label).increment(count);
+    }
+}
+
+pub(super) fn beams_failed(count: u64) {
+    if count > 0 {
+        counter!(BEAMS_FAILED).increment(count);
+    }
+}
+
+pub(super) fn commit(stored: bool, scans: u64, took: Duration) {
+    counter!(COMMITS, "outcome" => if stored { "stored" } else { "failed" }).increment(1);
+    histogram!(COMMIT_SECONDS).record(took.as_secs_f64());
+    histogram!(COMMIT_SCANS).record(scans as f64);
+}
+
+pub(super) fn evidence(took: Duration) {
+    histogram!(EVIDENCE_SECONDS).record(took.as_secs_f64());
+}
+
+/// Counts one loaded map while it lives.
+#[derive(Debug)]
+pub(super) struct Loaded(());
+
+impl Loaded {
+    pub(super) fn new() -> Self {
+        gauge!(MAPS_OPEN).increment(1.0);
+        Self(())
+    }
+}
+
+impl Drop for Loaded {
+    fn drop(&mut self) {
+        gauge!(MAPS_OPEN).decrement(1.0);
+    }
+}
+
+/// Counts one request at a writer while it lives.
+#[derive(Debug)]
+pub(super) struct Queued(());
+
+impl Queued {
+    pub(super) fn new() -> Self {
+        gauge!(QUEUE_DEPTH).increment(1.0);
+        Self(())
+    }
+}
+
+impl Drop for Queued {
+    fn drop(&mut self) {
+        gauge!(QUEUE_DEPTH).decrement(1.0);
+    }
+}
+
+/// Times the computing of a query's answer.
+pub(super) fn query<T>(kind: &'static str, compute: impl FnOnce() -> T) -> T {
+    let started = Instant::now();
+    let answer = compute();
+    histogram!(QUERY_SECONDS, "kind" => kind).record(started.elapsed().as_secs_f64());
+    answer
+}

@@ -1,0 +1,44 @@
+//! The names that dashboards are built on.
+
+use super::metrics::{Loaded, Outcome, Queued, beams_failed, commit, describe_metrics, evidence, query, scans};
+use metrics_exporter_prometheus::PrometheusBuilder;
+use std::time::Duration;
+
+#[test]
+fn metrics_keep_their_names() {
+    let recorder = PrometheusBuilder::new().build_recorder();
+    let handle = recorder.handle();
+    let held = metrics::with_local_recorder(&recorder, || {
+        describe_metrics();
+        scans(Outcome::Applied, 3);
+        scans(Outcome::Duplicate, 2);
+        scans(Outcome::Rejected, 1);
+        scans(Outcome::Failed, 0);
+        beams_failed(5);
+        commit(true, 3, Duration::from_millis(2));
+        evidence(Duration::from_millis(1));
+        assert_eq!(query("grid", || 8), 8);
+        drop(Queued::new());
+        (Loaded::new(), Queued::new())
+    });
+    let text = handle.render();
+    for line in [
+        "ubbmap_scans_total{outcome=\"applied\"} 3",
+        "ubbmap_scans_total{outcome=\"duplicate\"} 2",
+        "ubbmap_scans_total{outcome=\"rejected\"} 1",
+        "ubbmap_beams_failed_total 5",
+        "ubbmap_commits_total{outcome=\"stored\"} 1",
+        "ubbmap_commit_seconds_count 1",
+        "ubbmap_commit_scans_count 1",
+        "ubbmap_evidence_seconds_count 1",
+        "ubbmap_query_seconds_count{kind=\"grid\"} 1",
+        "ubbmap_queue_depth 1",
+        "ubbmap_maps_open 1",
+        "# HELP ubbmap_queue_depth ",
+    ] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+    assert!(!text.contains("outcome=\"failed\""));
+    metrics::with_local_recorder(&recorder, || drop(held));
+    assert!(handle.render().contains("ubbmap_maps_open 0"));
+}

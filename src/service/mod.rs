@@ -1,0 +1,238 @@
+//! Floor 4: named maps, one writer each, group commit, exactly-once, queries, limits and the one error type.
+//!
+//! [`MapService`] is what every transport calls; it knows neither HTTP nor gRPC nor Zenoh.
+
+mod answers;
+mod budget;
+mod error;
+mod evidence;
+mod gate;
+mod input;
+mod metrics;
+mod queries;
+mod registry;
+mod settings;
+mod writer;
+
+#[cfg(test)]
+mod budget_tests;
+#[cfg(test)]
+mod evidence_tests;
+#[cfg(test)]
+mod gate_tests;
+#[cfg(test)]
+mod metrics_tests;
+
+use crate::mapping::{MapConfig, Region};
+use crate::store::{MapName, MapStore};
+use queries::Root;
+use registry::{Registry, blocking};
+use std::sync::Arc;
+
+pub use answers::{
+    BoxQuery, ClassesAnswer, Created, FreeAnswers, InsertAnswer, MapDescription, MapVersion, Raster, RegionAnswer,
+    Rejection, RobotDescription,
+};
+pub use error::{ErrorKind, ServiceError};
+pub use input::{RawPose, ScanInput};
+pub use metrics::describe_metrics;
+pub use settings::ServiceSettings;
+
+/// Queries of at most so many points are answered on the caller's thread, larger ones on a thread for them.
+const INLINE_POINTS: usize = 1024;
+
+/// The same for leaves of a region.
+const INLINE_LEAVES: u64 = 4096;
+
+/// The same for cells of a grid: a tile's.
+const INLINE_CELLS: u64 = 65_536;
+
+/// The maps of one server. Cheap to clone; all clones are one service.
+#[derive(Clone)]
+pub struct MapService {
+    registry: Arc<Registry>,
+}
+
+impl MapService {
+    /// A service over a store. Maps are loaded when first used. Blocks while the store lists its maps.
+    ///
+    /// # Errors
+    /// [`ErrorKind::StoreFailed`] when the store's list of maps cannot be read.
+    pub fn open(store: Arc<dyn MapStore>, settings: ServiceSettings) -> Result<Self, ServiceError> {
+        Ok(Self { registry: Arc::new(Registry::open(store, settings)?) })
+    }
+
+    /// The limits and settings in force.
+    #[must_use]
+    pub fn settings(&self) -> &ServiceSettings {
+        &self.registry.settings
+    }
+
+    /// Creates a map; the same configuration again finds the map there (`created: false`).
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapExists`] with another configuration; added or replaced sensors alone are taken over.
+    pub async fn create_map(&self, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
+        self.registry.create(name, config).await
+    }
+
+    /// One map.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`]
+    pub async fn map(&self, name: &MapName) -> Result<MapDescription, ServiceError> {
+        let entry = self.registry.find(name)?;
+        self.registry.describe(&entry).await
+    }
+
+    /// All maps by name (without their robots).
+    ///
+    /// # Errors
+    /// [`ErrorKind::StoreFailed`]
+    pub async fn maps(&self) -> Result<Vec<MapDescription>, ServiceError> {
+        Ok(self.registry.entries().iter().map(|entry| entry.describe(Vec::new())).collect())
+    }
+
+    /// Deletes a map.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`]
+    pub async fn delete_map(&self, name: &MapName) -> Result<(), ServiceError> {
+        self.registry.delete(name).await
+    }
+
+    /// Applies scans; returns when what was applied is durable. Bad scans are named in the answer, good ones applied.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::TooManyScans`], [`ErrorKind::Busy`] when the map's queue is full,
+    /// [`ErrorKind::ShuttingDown`], [`ErrorKind::StoreFailed`].
+    pub async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
+        self.registry.insert(name, scans).await
+    }
+
+    /// Classes at points; `depth` 0..=map depth, default the map's.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::DepthOutOfRange`], [`ErrorKind::InvalidPoint`], [`ErrorKind::TooManyPoints`].
+    pub async fn classes(
+        &self,
+        name: &MapName,
+        points: &[(f64, f64)],
+        depth: Option<u32>,
+    ) -> Result<ClassesAnswer, ServiceError> {
+        limited("points", points.len(), self.settings().max_points, ErrorKind::TooManyPoints)?;
+        let root = self.root(name).await?;
+        let depth = root.depth(depth)?;
+        if points.len() <= INLINE_POINTS {
+            return metrics::query("classes", || root.classes(points, depth));
+        }
+        let points = points.to_vec();
+        self.apart("classes", move || root.classes(&points, depth)).await?
+    }
+
+    /// The quadtree leaves of a half-open box, at most to a depth.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidRegion`], [`ErrorKind::RegionTooLarge`] naming the limit and the depth that would fit.
+    pub async fn region(&self, name: &MapName, query: &BoxQuery) -> Result<RegionAnswer, ServiceError> {
+        let root = self.root(name).await?;
+        let area = root.area(query)?;
+        if root.nodes(&area) <= INLINE_LEAVES {
+            return metrics::query("region", || root.region(&area, self.settings()));
+        }
+        let settings = Arc::clone(&self.registry.settings);
+        self.apart("region", move || root.region(&area, &settings)).await?
+    }
+
+    /// A dense raster of a half-open box at a depth; cells outside the root are not in it.
+    ///
+    /// # Errors
+    /// As [`MapService::region`].
+    pub async fn grid(&self, name: &MapName, query: &BoxQuery) -> Result<Raster, ServiceError> {
+        let root = self.root(name).await?;
+        let area = root.area(query)?;
+        let plan = root.plan_grid(&area, self.settings())?;
+        if root.nodes(&area) <= INLINE_CELLS {
+            return Ok(metrics::query("grid", || root.grid_raster(&plan)));
+        }
+        self.apart("grid", move || root.grid_raster(&plan)).await
+    }
+
+    /// The node `(z, x, y)` as 256 x 256 cells of depth `z + 8` (cells deeper than the leaves repeat the leaf).
+    ///
+    /// # Errors
+    /// [`ErrorKind::TileOutOfRange`]
+    pub async fn tile(&self, name: &MapName, z: u32, x: u32, y: u32) -> Result<Raster, ServiceError> {
+        let root = self.root(name).await?;
+        metrics::query("tile", || root.tile(z, x, y))
+    }
+
+    /// Is each region guaranteed free? All of one revision.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::ToleranceTooHigh`], [`ErrorKind::TooManyRegions`].
+    pub async fn guaranteed_free(
+        &self,
+        name: &MapName,
+        regions: &[Region],
+        tolerance: u32,
+    ) -> Result<FreeAnswers, ServiceError> {
+        limited("regions", regions.len(), self.settings().max_regions, ErrorKind::TooManyRegions)?;
+        let root = self.root(name).await?;
+        let tolerance = root.tolerance(tolerance)?;
+        // How long a region takes depends on the map below it, so none of them is computed here.
+        let regions = regions.to_vec();
+        self.apart("guaranteed_free", move || root.guaranteed_free(&regions, tolerance)).await
+    }
+
+    /// True while the service takes work and its store takes writes.
+    #[must_use]
+    pub fn is_ready(&self) -> bool {
+        self.registry.is_ready()
+    }
+
+    /// Takes no more writes, finishes what was taken, and returns when all of it is durable.
+    pub async fn drain(&self) {
+        self.registry.gate.close().await;
+    }
+
+    /// Names the content that a read of a map sees now, without reading it: what an entity tag is made of. Loads the
+    /// map, since a map that cannot be loaded has no content to name.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::MapDamaged`]
+    pub async fn version(&self, name: &MapName) -> Result<MapVersion, ServiceError> {
+        let root = self.root(name).await?;
+        Ok(MapVersion { map_id: root.id.0, revision: root.published.revision })
+    }
+
+    /// The root that a query reads: one revision, whatever is committed meanwhile.
+    async fn root(&self, name: &MapName) -> Result<Root, ServiceError> {
+        let entry = self.registry.find(name)?;
+        let published = self.registry.opened(&entry).await?.published.load_full();
+        Ok(Root { id: entry.id, config: entry.config.load_full(), published })
+    }
+
+    /// Computes an answer on a thread that may be busy for long. So many at once: the others wait for their turn, and
+    /// the writers find threads for their commits.
+    async fn apart<T: Send + 'static>(
+        &self,
+        kind: &'static str,
+        compute: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, ServiceError> {
+        // The semaphore is never closed; without a permit the answer would only be computed at once.
+        let permit = Arc::clone(&self.registry.heavy).acquire_owned().await.ok();
+        blocking(move || {
+            let _permit = permit;
+            metrics::query(kind, compute)
+        })
+        .await
+    }
+}
+
+fn limited(field: &str, count: usize, limit: usize, kind: ErrorKind) -> Result<(), ServiceError> {
+    if count <= limit {
+        return Ok(());
+    }
+    Err(ServiceError::new(kind, format!("{field} has {count} entries, the limit is {limit}")).at(field))
+}

@@ -1,0 +1,384 @@
+//! Named maps: created and deleted durably, loaded when first used, each with its writer.
+
+use super::evidence::{EvidencePool, Task, input_bytes};
+use super::gate::Gate;
+use super::metrics;
+use super::writer::{Job, Published, Writer, map_not_found};
+use super::{
+    Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError, ServiceSettings,
+};
+use crate::mapping::MapConfig;
+use crate::store::{DamagedMap, MapId, MapName, MapStore, StoreError, StoredMap};
+use arc_swap::ArcSwap;
+use std::collections::BTreeMap;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{SystemTime, UNIX_EPOCH};
+use tokio::sync::{Mutex, OnceCell, Semaphore, mpsc, oneshot};
+use tokio_util::sync::CancellationToken;
+
+/// All that the clones of one service share.
+pub(super) struct Registry {
+    store: Arc<dyn MapStore>,
+    pub(super) settings: Arc<ServiceSettings>,
+    /// Held for a look or a change, never across a disk access or an await.
+    table: RwLock<Table>,
+    /// Creations, deletions and changes of configurations, one after the other.
+    changes: Mutex<()>,
+    pool: EvidencePool,
+    pub(super) gate: Arc<Gate>,
+    pub(super) heavy: Arc<Semaphore>,
+}
+
+/// What the names stand for.
+#[derive(Default)]
+struct Table {
+    maps: BTreeMap<MapName, Arc<Entry>>,
+    /// Maps of which the store cannot read what they are. Their names stay taken until they are deleted.
+    damaged: BTreeMap<MapName, DamagedMap>,
+}
+
+/// A map by name, loaded or not.
+pub(super) struct Entry {
+    name: MapName,
+    pub(super) id: MapId,
+    created: f64,
+    pub(super) config: ArcSwap<MapConfig>,
+    /// The revision in the store while the map is not loaded: only a loaded map is written to.
+    stored_revision: u64,
+    opened: OnceCell<Opened>,
+    /// Cancelled when the map is being deleted.
+    stop: CancellationToken,
+}
+
+/// A loaded map.
+pub(super) struct Opened {
+    pub(super) published: Arc<ArcSwap<Published>>,
+    queue: mpsc::Sender<Job>,
+    /// Cancelled when the writer has made its last commit.
+    stopped: CancellationToken,
+    _counted: metrics::Loaded,
+}
+
+impl Registry {
+    pub(super) fn open(store: Arc<dyn MapStore>, settings: ServiceSettings) -> Result<Self, ServiceError> {
+        let stored = store.list().map_err(|e| store_error("list the maps of the store", &e))?;
+        let mut table = Table::default();
+        table.maps.extend(stored.into_iter().map(|map| (map.name.clone(), Arc::new(Entry::new(map)))));
+        for damaged in store.damaged() {
+            tracing::error!(id = damaged.id.map(|id| id.0), what = damaged.what, "the store has a damaged map");
+            if let Some(name) = damaged.name.clone().filter(|name| !table.maps.contains_key(name)) {
+                table.damaged.insert(name, damaged);
+            }
+        }
+        Ok(Self {
+            store,
+            table: RwLock::new(table),
+            changes: Mutex::new(()),
+            pool: EvidencePool::new(&settings)?,
+            gate: Arc::new(Gate::new()),
+            heavy: Arc::new(Semaphore::new(settings.max_concurrent_queries.clamp(1, Semaphore::MAX_PERMITS))),
+            settings: Arc::new(settings),
+        })
+    }
+
+    pub(super) fn is_ready(&self) -> bool {
+        self.gate.is_open() && self.store.failure().is_none()
+    }
+
+    pub(super) fn find(&self, name: &MapName) -> Result<Arc<Entry>, ServiceError> {
+        let table = self.table.read().unwrap_or_else(PoisonError::into_inner);
+        match (table.maps.get(name), table.damaged.get(name)) {
+            (Some(entry), _) => Ok(Arc::clone(entry)),
+            (None, Some(damaged)) => {
+                let detail = format!("map {:?} is damaged: {}", name.as_str(), damaged.what);
+                Err(ServiceError::new(ErrorKind::MapDamaged, detail).at("map"))
+            }
+            (None, None) => Err(map_not_found(name)),
+        }
+    }
+
+    pub(super) fn entries(&self) -> Vec<Arc<Entry>> {
+        self.table.read().unwrap_or_else(PoisonError::into_inner).maps.values().cloned().collect()
+    }
+
+    fn change<T>(&self, change: impl FnOnce(&mut Table) -> T) -> T {
+        change(&mut self.table.write().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// The loaded map; whoever comes first loads it, the others wait.
+    pub(super) async fn opened<'e>(&self, entry: &'e Entry) -> Result<&'e Opened, ServiceError> {
+        entry.opened.get_or_try_init(|| self.load(entry)).await
+    }
+
+    async fn load(&self, entry: &Entry) -> Result<Opened, ServiceError> {
+        let (store, id) = (Arc::clone(&self.store), entry.id);
+        let loaded = blocking(move || store.load(id)).await?.map_err(|e| store_failure(&entry.name, "load", &e))?;
+        tracing::debug!(map = %entry.name, revision = loaded.revision, "loaded");
+        let root = Published { revision: loaded.revision, tree: loaded.tree, windows: Arc::new(loaded.windows) };
+        let published = Arc::new(ArcSwap::from_pointee(root));
+        let (sender, receiver) = mpsc::channel(self.settings.queue_length.clamp(1, Semaphore::MAX_PERMITS));
+        let stopped = CancellationToken::new();
+        let writer = Writer {
+            name: entry.name.clone(),
+            id,
+            store: Arc::clone(&self.store),
+            published: Arc::clone(&published),
+            max_scans_per_commit: self.settings.max_scans_per_commit,
+            max_robots: self.settings.max_robots,
+        };
+        tokio::spawn(writer.run(receiver, entry.stop.clone(), stopped.clone()));
+        Ok(Opened { published, queue: sender, stopped, _counted: metrics::Loaded::new() })
+    }
+
+    /// Creates a map or takes over added and replaced sensors. Runs to its end even if the caller goes away.
+    pub(super) async fn create(self: &Arc<Self>, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
+        let inside = self.gate.enter()?;
+        let (registry, name) = (Arc::clone(self), name.clone());
+        let work = async move {
+            let _inside = inside;
+            let changes = registry.changes.lock().await;
+            let entry = match registry.find(&name) {
+                Ok(entry) => entry,
+                Err(error) if error.kind == ErrorKind::MapNotFound => return registry.create_new(&name, config).await,
+                Err(error) => return Err(error),
+            };
+            registry.reconfigure(&entry, config).await?;
+            // Loading the map for its description is no change.
+            drop(changes);
+            Ok(Created { created: false, map: registry.describe(&entry).await? })
+        };
+        tokio::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
+    }
+
+    async fn create_new(&self, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
+        let limit = self.settings.max_maps;
+        if self.entries().len() >= limit {
+            let detail = format!("the server has {limit} maps, which is the limit");
+            return Err(ServiceError::new(ErrorKind::TooManyMaps, detail));
+        }
+        let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+        let (store, named, stored) = (Arc::clone(&self.store), name.clone(), config.clone());
+        let result = blocking(move || store.create(&named, &stored, created)).await?;
+        let id = result.map_err(|e| store_failure(name, "create", &e))?;
+        let entry = Arc::new(Entry::new(StoredMap { id, name: name.clone(), config, revision: 0, created }));
+        self.put(Arc::clone(&entry));
+        tracing::info!(map = %name, id = id.0, "created");
+        Ok(Created { created: true, map: entry.describe(Vec::new()) })
+    }
+
+    async fn reconfigure(&self, entry: &Entry, config: MapConfig) -> Result<(), ServiceError> {
+        let now = entry.config.load_full();
+        if let Some(field) = first_difference(&now, &config) {
+            let detail = format!("map {:?} exists with another {field}", entry.name.as_str());
+            return Err(ServiceError::new(ErrorKind::MapExists, detail).at(format!("config.{field}")));
+        }
+        if now.sensors() != config.sensors() {
+            let (store, id, stored) = (Arc::clone(&self.store), entry.id, config.clone());
+            let result = blocking(move || store.update_config(id, &stored)).await?;
+            result.map_err(|e| store_failure(&entry.name, "update the configuration of", &e))?;
+            entry.config.store(Arc::new(config));
+            tracing::info!(map = %entry.name, "sensors changed");
+        }
+        Ok(())
+    }
+
+    /// Deletes a map. Runs to its end even if the caller goes away.
+    pub(super) async fn delete(self: &Arc<Self>, name: &MapName) -> Result<(), ServiceError> {
+        let inside = self.gate.enter()?;
+        let (registry, name) = (Arc::clone(self), name.clone());
+        let work = async move {
+            let _inside = inside;
+            let _changes = registry.changes.lock().await;
+            match registry.damaged_id(&name) {
+                Some(id) => registry.delete_damaged(&name, id).await,
+                None => registry.delete_entry(&*registry.find(&name)?).await,
+            }
+        };
+        tokio::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
+    }
+
+    async fn delete_entry(&self, entry: &Entry) -> Result<(), ServiceError> {
+        // From here on no round begins. A load that ends after the look below starts a writer that finds `stop`
+        // cancelled before its first round: the token's lock orders the two.
+        entry.stop.cancel();
+        if let Some(opened) = entry.opened.get() {
+            opened.stopped.cancelled().await;
+        }
+        let (store, id) = (Arc::clone(&self.store), entry.id);
+        let result = blocking(move || store.delete(id))
+            .await
+            .and_then(|result| result.map_err(|e| store_failure(&entry.name, "delete", &e)));
+        if let Err(error) = result
+            && error.kind != ErrorKind::MapNotFound
+        {
+            // The map is still there: with an entry of its own it is loaded again and takes writes again.
+            self.put(Arc::new(Entry::new(entry.stored())));
+            return Err(error);
+        }
+        self.change(|table| table.maps.remove(&entry.name));
+        tracing::info!(map = %entry.name, id = id.0, "deleted");
+        Ok(())
+    }
+
+    fn damaged_id(&self, name: &MapName) -> Option<MapId> {
+        self.table.read().unwrap_or_else(PoisonError::into_inner).damaged.get(name).and_then(|damaged| damaged.id)
+    }
+
+    async fn delete_damaged(&self, name: &MapName, id: MapId) -> Result<(), ServiceError> {
+        let store = Arc::clone(&self.store);
+        blocking(move || store.delete(id)).await?.map_err(|e| store_failure(name, "delete", &e))?;
+        self.change(|table| table.damaged.remove(name));
+        tracing::info!(map = %name, id = id.0, "deleted a damaged map");
+        Ok(())
+    }
+
+    fn put(&self, entry: Arc<Entry>) {
+        self.change(|table| table.maps.insert(entry.name.clone(), entry));
+    }
+
+    /// A map with its robots, loaded for it.
+    pub(super) async fn describe(&self, entry: &Entry) -> Result<MapDescription, ServiceError> {
+        let published = self.opened(entry).await?.published.load_full();
+        let robot = |(name, window): (&crate::store::RobotName, &crate::store::SequenceWindow)| RobotDescription {
+            name: name.as_str().to_owned(),
+            highest_sequence: window.highest(),
+            applied: window.count(),
+        };
+        let mut description = entry.describe(published.windows.iter().map(robot).collect());
+        description.revision = published.revision;
+        Ok(description)
+    }
+
+    /// Computes scans and waits until their commit is durable.
+    pub(super) async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
+        let inside = self.gate.enter()?;
+        let limit = self.settings.max_scans_per_request;
+        if scans.len() > limit {
+            let detail = format!("scans has {} entries, the limit is {limit} a request", scans.len());
+            return Err(ServiceError::new(ErrorKind::TooManyScans, detail).at("scans"));
+        }
+        let entry = self.find(name)?;
+        let opened = self.opened(&entry).await?;
+        let place = opened.queue.clone().try_reserve_owned().map_err(|refused| match refused {
+            mpsc::error::TrySendError::Full(_) => {
+                let detail = format!("map {:?} has as many insertions waiting as its queue holds", name.as_str());
+                ServiceError::new(ErrorKind::Busy, detail)
+            }
+            mpsc::error::TrySendError::Closed(_) => map_not_found(name),
+        })?;
+        let reservation = self.pool.budget.reservation();
+        reservation.grow(input_bytes(&scans))?;
+        let (reply, answer) = oneshot::channel();
+        self.pool.submit(Task {
+            map: name.clone(),
+            config: entry.config.load_full(),
+            published: opened.published.load_full(),
+            settings: Arc::clone(&self.settings),
+            scans,
+            reservation,
+            place,
+            inside,
+            reply,
+        });
+        answer.await.unwrap_or_else(|_| {
+            Err(ServiceError::new(ErrorKind::Internal, "the server failed while it worked on these scans"))
+        })
+    }
+}
+
+impl Entry {
+    fn new(map: StoredMap) -> Self {
+        Self {
+            name: map.name,
+            id: map.id,
+            created: map.created,
+            config: ArcSwap::from_pointee(map.config),
+            stored_revision: map.revision,
+            opened: OnceCell::new(),
+            stop: CancellationToken::new(),
+        }
+    }
+
+    /// The map's revision as readers see it.
+    pub(super) fn revision(&self) -> u64 {
+        self.opened.get().map_or(self.stored_revision, |opened| opened.published.load().revision)
+    }
+
+    /// The map without loading it.
+    pub(super) fn describe(&self, robots: Vec<RobotDescription>) -> MapDescription {
+        MapDescription {
+            name: self.name.clone(),
+            config: MapConfig::clone(&self.config.load()),
+            revision: self.revision(),
+            created: self.created,
+            robots,
+        }
+    }
+
+    fn stored(&self) -> StoredMap {
+        StoredMap {
+            id: self.id,
+            name: self.name.clone(),
+            config: MapConfig::clone(&self.config.load()),
+            revision: self.revision(),
+            created: self.created,
+        }
+    }
+}
+
+/// The first field in which a configuration differs beyond added and replaced sensors.
+fn first_difference(now: &MapConfig, asked: &MapConfig) -> Option<String> {
+    let (a, b) = (now.grid(), asked.grid());
+    let fields = [
+        ("resolution", a.resolution() == b.resolution()),
+        ("depth", a.depth() == b.depth()),
+        ("origin", a.origin() == b.origin()),
+        ("classes", now.scale() == asked.scale()),
+        ("evidence", now.rule() == asked.rule()),
+        ("min_obstacle_width", now.min_obstacle_width() == asked.min_obstacle_width()),
+    ];
+    let differing = fields.iter().find(|(_, same)| !same).map(|(field, _)| (*field).to_owned());
+    // A sensor that is left out would be one that is taken away.
+    let missing = || now.sensors().keys().find(|name| !asked.sensors().contains_key(*name));
+    differing.or_else(|| missing().map(|name| format!("sensors.{name}")))
+}
+
+/// Runs what blocks on a thread for it.
+pub(super) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, ServiceError> {
+    tokio::task::spawn_blocking(work).await.map_err(|e| thread_failed(&e))
+}
+
+fn thread_failed(error: &tokio::task::JoinError) -> ServiceError {
+    tracing::error!(%error, "a thread of the service failed");
+    ServiceError::new(ErrorKind::Internal, "the server failed while it worked on this request")
+}
+
+/// What a client reads when the store fails at a map.
+pub(super) fn store_failure(name: &MapName, doing: &str, error: &StoreError) -> ServiceError {
+    match error {
+        StoreError::NoMap(_) => map_not_found(name),
+        other => store_error(&format!("{doing} map {:?}", name.as_str()), other),
+    }
+}
+
+fn store_error(doing: &str, error: &StoreError) -> ServiceError {
+    match error {
+        StoreError::Exists(name) => {
+            ServiceError::new(ErrorKind::MapExists, format!("map {:?} exists in the store", name.as_str()))
+        }
+        StoreError::NoMap(_) => ServiceError::new(ErrorKind::MapNotFound, "the store has no such map"),
+        // What is damaged is for the client to know; it names no files.
+        StoreError::Damaged { .. } | StoreError::NewerFormat { .. } => {
+            tracing::error!(%error, "could not {doing}");
+            ServiceError::new(ErrorKind::MapDamaged, format!("the server could not {doing}: {error}"))
+        }
+        StoreError::Refused(_) => {
+            tracing::error!(%error, "could not {doing}");
+            ServiceError::new(ErrorKind::Internal, format!("the server failed to {doing}"))
+        }
+        StoreError::Locked { .. } | StoreError::NoStore { .. } | StoreError::FailStop(_) | StoreError::Io { .. } => {
+            tracing::error!(%error, "could not {doing}");
+            ServiceError::new(ErrorKind::StoreFailed, format!("the store could not {doing}"))
+        }
+    }
+}

@@ -1,0 +1,265 @@
+//! The one writer of a map: drain, apply, commit, publish, acknowledge.
+//!
+//! A round takes what has arrived, in the order of arrival, and is one commit of the store. Readers hold published
+//! roots, so they see what is durable and wait for nothing.
+
+use super::budget::Reservation;
+use super::evidence::too_old;
+use super::gate::Inside;
+use super::metrics;
+use super::registry::store_failure;
+use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
+use crate::quadtree::{BlockAddress, LeafMasks, OccupancyTree};
+use crate::store::{Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError};
+use arc_swap::ArcSwap;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Instant;
+use tokio::sync::{mpsc, oneshot};
+use tokio_util::sync::CancellationToken;
+
+/// A map at one revision, all of it durable.
+#[derive(Debug)]
+pub(super) struct Published {
+    pub(super) revision: u64,
+    pub(super) tree: OccupancyTree,
+    pub(super) windows: Arc<BTreeMap<RobotName, SequenceWindow>>,
+}
+
+/// A robot's own number of a scan.
+#[derive(Debug, Clone)]
+pub(super) struct Numbered {
+    pub(super) robot: RobotName,
+    pub(super) sequence: u64,
+}
+
+/// A good scan, computed.
+#[derive(Debug)]
+pub(super) struct ScanEvidence {
+    /// Its index in the request.
+    pub(super) index: usize,
+    /// `None` is always applied.
+    pub(super) numbered: Option<Numbered>,
+    pub(super) masks: LeafMasks,
+}
+
+/// A request at the writer.
+pub(super) struct Job {
+    pub(super) scans: Vec<ScanEvidence>,
+    /// What is known of the answer so far: refusals and duplicates found before the writer.
+    pub(super) answer: InsertAnswer,
+    pub(super) reply: oneshot::Sender<Result<InsertAnswer, ServiceError>>,
+    pub(super) reservation: Reservation,
+    pub(super) queued: metrics::Queued,
+    pub(super) inside: Inside,
+}
+
+impl Job {
+    /// Answers the client, if it is still there; what was applied stays applied if it is not. What the request held
+    /// is given back first, so that its sender's next request finds it free.
+    fn reply(self, answer: Result<InsertAnswer, ServiceError>) {
+        let Self { scans, reply, reservation, queued, inside, .. } = self;
+        drop((scans, reservation, queued));
+        let _ = reply.send(answer);
+        drop(inside);
+    }
+}
+
+/// What the writer needs of its map.
+pub(super) struct Writer {
+    pub(super) name: MapName,
+    pub(super) id: MapId,
+    pub(super) store: Arc<dyn MapStore>,
+    pub(super) published: Arc<ArcSwap<Published>>,
+    pub(super) max_scans_per_commit: usize,
+    pub(super) max_robots: usize,
+}
+
+/// One round's changes on top of a published root; dropped without a trace when the commit fails.
+struct Round<'a> {
+    base: &'a Published,
+    tree: OccupancyTree,
+    changed: Vec<BlockAddress>,
+    windows: BTreeMap<RobotName, SequenceWindow>,
+    /// Robots that had no window before.
+    new_robots: usize,
+    applied: u64,
+}
+
+impl Writer {
+    /// Works until the queue's senders are gone or `stop` says that the map is deleted. `stopped` is cancelled as soon
+    /// as no further commit can follow.
+    pub(super) async fn run(self, mut queue: mpsc::Receiver<Job>, stop: CancellationToken, stopped: CancellationToken) {
+        let done = stopped.drop_guard();
+        let writer = Arc::new(self);
+        let mut held = None;
+        loop {
+            let first = match held.take() {
+                Some(job) => job,
+                None => tokio::select! {
+                    biased;
+                    () = stop.cancelled() => break,
+                    job = queue.recv() => match job {
+                        Some(job) => job,
+                        None => return,
+                    },
+                },
+            };
+            // Looked at with the request in hand: whoever cancelled before this look may find no writer to wait for,
+            // whoever cancels after it finds the map loaded and waits for the round.
+            if stop.is_cancelled() {
+                held = Some(first);
+                break;
+            }
+            let jobs = drain(first, &mut queue, &mut held, writer.max_scans_per_commit);
+            let worker = Arc::clone(&writer);
+            if let Err(error) = tokio::task::spawn_blocking(move || worker.round(jobs)).await {
+                // The requests of the round went with it: their clients are told that the server failed.
+                tracing::error!(map = %writer.name, %error, "a commit's thread failed");
+            }
+        }
+        drop(done);
+        queue.close();
+        if let Some(job) = held {
+            refuse_deleted(job, &writer.name);
+        }
+        while let Some(job) = queue.recv().await {
+            refuse_deleted(job, &writer.name);
+        }
+    }
+
+    /// Applies the scans of a round, makes them durable, publishes, and acknowledges.
+    fn round(&self, jobs: Vec<Job>) {
+        let started = Instant::now();
+        let base = self.published.load_full();
+        let mut round = Round::new(&base);
+        let answers: Vec<InsertAnswer> = jobs.iter().map(|job| round.take(job, self.max_robots)).collect();
+        let (scans, applied) = (jobs.iter().map(|job| job.scans.len() as u64).sum::<u64>(), round.applied);
+        match self.store(round) {
+            Ok(revision) => {
+                for (job, mut answer) in jobs.into_iter().zip(answers) {
+                    answer.revision = revision;
+                    metrics::scans(metrics::Outcome::Applied, answer.applied);
+                    metrics::scans(metrics::Outcome::Duplicate, answer.duplicates);
+                    metrics::scans(metrics::Outcome::Rejected, answer.rejected.len() as u64);
+                    job.reply(Ok(answer));
+                }
+                let seconds = started.elapsed().as_secs_f64();
+                tracing::debug!(map = %self.name, revision, scans, applied, seconds, "committed");
+            }
+            Err(error) => {
+                metrics::scans(metrics::Outcome::Failed, scans);
+                let error = store_failure(&self.name, "commit to", &error);
+                for job in jobs {
+                    job.reply(Err(error.clone()));
+                }
+            }
+        }
+    }
+
+    /// Stores a round and publishes it; returns the revision that holds it.
+    fn store(&self, round: Round<'_>) -> Result<u64, StoreError> {
+        let applied = round.applied;
+        let Some((commit, published)) = round.finish() else {
+            return Ok(self.published.load().revision);
+        };
+        let started = Instant::now();
+        let stored = self.store.commit(self.id, &commit);
+        metrics::commit(stored.is_ok(), applied, started.elapsed());
+        stored?;
+        self.published.store(Arc::new(published));
+        Ok(commit.revision)
+    }
+}
+
+/// The first request and what has arrived behind it, up to `max_scans`; the request that is too many is held back.
+fn drain(first: Job, queue: &mut mpsc::Receiver<Job>, held: &mut Option<Job>, max_scans: usize) -> Vec<Job> {
+    let mut scans = first.scans.len();
+    let mut jobs = vec![first];
+    while scans < max_scans {
+        let Ok(job) = queue.try_recv() else { break };
+        scans += job.scans.len();
+        if scans > max_scans {
+            *held = Some(job);
+            break;
+        }
+        jobs.push(job);
+    }
+    jobs
+}
+
+fn refuse_deleted(job: Job, name: &MapName) {
+    job.reply(Err(map_not_found(name)));
+}
+
+pub(super) fn map_not_found(name: &MapName) -> ServiceError {
+    ServiceError::new(ErrorKind::MapNotFound, format!("there is no map {:?}", name.as_str())).at("map")
+}
+
+impl<'a> Round<'a> {
+    fn new(base: &'a Published) -> Self {
+        Self { base, tree: base.tree.clone(), changed: Vec::new(), windows: BTreeMap::new(), new_robots: 0, applied: 0 }
+    }
+
+    /// Applies one request's scans in order.
+    fn take(&mut self, job: &Job, max_robots: usize) -> InsertAnswer {
+        let mut answer = job.answer.clone();
+        for scan in &job.scans {
+            match self.admit(scan.numbered.as_ref(), max_robots) {
+                Ok(SequenceVerdict::Duplicate) => answer.duplicates += 1,
+                Ok(_) => {
+                    self.tree.apply(&scan.masks, &mut self.changed);
+                    self.applied += 1;
+                    answer.applied += 1;
+                }
+                Err((code, detail)) => answer.rejected.push(Rejection { index: scan.index, code, detail }),
+            }
+        }
+        answer.rejected.sort_by_key(|rejection| rejection.index);
+        answer
+    }
+
+    /// Looks a scan up in its robot's window and records it there if it is new.
+    fn admit(
+        &mut self,
+        numbered: Option<&Numbered>,
+        max_robots: usize,
+    ) -> Result<SequenceVerdict, (&'static str, String)> {
+        let Some(Numbered { robot, sequence }) = numbered else { return Ok(SequenceVerdict::New) };
+        if !self.windows.contains_key(robot) {
+            let known = self.base.windows.get(robot);
+            if known.is_none() {
+                if self.base.windows.len() + self.new_robots >= max_robots {
+                    let detail = format!("robot: the map knows {max_robots} robots, which is the limit");
+                    return Err(("TOO_MANY_ROBOTS", detail));
+                }
+                self.new_robots += 1;
+            }
+            let window = known.cloned().unwrap_or_default();
+            self.windows.insert(robot.clone(), window);
+        }
+        let Some(window) = self.windows.get_mut(robot) else { return Ok(SequenceVerdict::New) };
+        match window.record(*sequence) {
+            SequenceVerdict::TooOld => Err(too_old(*sequence, window.highest())),
+            verdict => Ok(verdict),
+        }
+    }
+
+    /// The commit and the root that it leads to; `None` when there is nothing to store.
+    fn finish(mut self) -> Option<(Commit, Published)> {
+        self.changed.sort_unstable_by_key(|address| address.morton());
+        self.changed.dedup();
+        self.windows.retain(|robot, window| self.base.windows.get(robot) != Some(window));
+        if self.changed.is_empty() && self.windows.is_empty() {
+            return None;
+        }
+        let revision = self.base.revision + 1;
+        let blocks = self.changed.iter().map(|address| (*address, self.tree.block(*address))).collect();
+        let mut windows = Arc::clone(&self.base.windows);
+        if !self.windows.is_empty() {
+            Arc::make_mut(&mut windows).extend(self.windows.iter().map(|(r, w)| (r.clone(), w.clone())));
+        }
+        let commit = Commit { revision, blocks, windows: self.windows.into_iter().collect() };
+        Some((commit, Published { revision, tree: self.tree, windows }))
+    }
+}
