@@ -1,0 +1,207 @@
+//! Floor 6: the server as a whole: store, service, listener, and an orderly end.
+
+use crate::config::{Config, ConfigError, StoreKind, seconds};
+use crate::service::{MapService, ServiceError};
+use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
+use crate::telemetry;
+use crate::transport::http::{self, Draining, HttpSettings, ServeLimits};
+use std::net::SocketAddr;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
+use thiserror::Error;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+
+/// How long the end waits for the store to close.
+const CLOSE_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Why a server does not start or ends early.
+#[derive(Debug, Error)]
+pub enum AppError {
+    /// A setting.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The store does not open.
+    #[error("cannot open the store: {0}")]
+    Store(#[from] StoreError),
+    /// Opening the store ended in a panic, which the log tells.
+    #[error("cannot open the store: its opening failed")]
+    StorePanicked,
+    /// The service does not start.
+    #[error("cannot start the service: {0}")]
+    Service(#[from] ServiceError),
+    /// The address cannot be listened on.
+    #[error("cannot listen on {address}: {source}")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The signals of the end cannot be waited for.
+    #[error("cannot wait for signals: {0}")]
+    Signal(std::io::Error),
+    /// The listener's task ended by a panic.
+    #[error("the listener failed")]
+    Listener,
+}
+
+/// Serves until SIGTERM or SIGINT; `ready` is called with the bound address once requests are answered. What was
+/// acknowledged is durable when it returns.
+///
+/// # Errors
+/// [`AppError`] when the server cannot start.
+pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(), AppError> {
+    // Before anything is opened, so that a signal during the start is not lost.
+    let stop = stop_signal().map_err(AppError::Signal)?;
+    config.check()?;
+    let store = open_store(&config).await?;
+    let open = Arc::downgrade(&store);
+    let server = Server::start(&config, store).await?;
+    tracing::info!(address = %server.address(), "ready");
+    ready(server.address());
+    stop.await;
+    tracing::info!("draining");
+    server.shutdown().await?;
+    closed(&open).await;
+    tracing::info!("done");
+    Ok(())
+}
+
+/// A running server.
+#[derive(Debug)]
+pub struct Server {
+    address: SocketAddr,
+    draining: Draining,
+    stop: oneshot::Sender<()>,
+    listener: JoinHandle<()>,
+    service: ServiceHandle,
+}
+
+/// The service, which has no debug form.
+struct ServiceHandle(MapService);
+
+impl std::fmt::Debug for ServiceHandle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("MapService")
+    }
+}
+
+impl Server {
+    /// Starts a server over a store on the address that the settings name.
+    ///
+    /// # Errors
+    /// [`AppError`] when the settings do not hold, the service does not start or the address is taken.
+    pub async fn start(config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
+        config.check()?;
+        let metrics = telemetry::metrics_handle();
+        let service = MapService::open(store, config.service_settings())?;
+        let draining = Draining::default();
+        let limits = &config.limits;
+        let settings = HttpSettings {
+            body_bytes: limits.body_bytes,
+            config_bytes: limits.config_bytes,
+            requests: limits.requests,
+            request_timeout: seconds(limits.request_seconds),
+        };
+        let render = Arc::new(move || metrics.render());
+        let router = http::router(service.clone(), settings, draining.clone(), render);
+        let failed = |source| AppError::Listen { address: config.listen, source };
+        let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let serve_limits = ServeLimits {
+            connections: limits.connections,
+            header_timeout: seconds(limits.header_seconds),
+            grace: config.grace(),
+        };
+        let (stop, stopped) = oneshot::channel();
+        let listener = tokio::spawn(async move {
+            http::serve(listener, router, &serve_limits, async {
+                // A dropped handle stops the server as well.
+                let _ = stopped.await;
+            })
+            .await;
+        });
+        Ok(Self { address, draining, stop, listener, service: ServiceHandle(service) })
+    }
+
+    /// Where it listens.
+    #[must_use]
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Its address as clients write it, without a slash at the end.
+    #[must_use]
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// The service behind it.
+    #[must_use]
+    pub fn service(&self) -> &MapService {
+        &self.service.0
+    }
+
+    /// Turns away new connections, finishes the requests under way, and returns when all that was taken is durable.
+    ///
+    /// # Errors
+    /// [`AppError::Listener`] when the listener's task failed; the service is drained all the same.
+    pub async fn shutdown(self) -> Result<(), AppError> {
+        self.draining.begin();
+        // The listener's task has ended already when this fails.
+        let _ = self.stop.send(());
+        let ended = self.listener.await;
+        self.service.0.drain().await;
+        ended.map_err(|_| AppError::Listener)
+    }
+}
+
+async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {
+    match config.store {
+        StoreKind::Memory => Ok(Arc::new(MemoryStore::new())),
+        StoreKind::Sled => {
+            let directory = config.data_dir.clone();
+            // Opening reads and writes files, and a large store takes a while.
+            let opened = tokio::task::spawn_blocking(move || SledStore::open(&directory, SledOptions::default()));
+            Ok(Arc::new(opened.await.map_err(|_| AppError::StorePanicked)??))
+        }
+    }
+}
+
+/// Waits until nothing holds the store: its writers let go of it a little after the drain. Everything is durable by
+/// then, so a store that stays open is only worth a line.
+async fn closed(store: &Weak<dyn MapStore>) {
+    let begun = Instant::now();
+    while store.strong_count() > 0 {
+        if begun.elapsed() > CLOSE_PATIENCE {
+            tracing::warn!("the store is still open");
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+#[cfg(unix)]
+fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    Ok(async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    })
+}
+
+#[cfg(not(unix))]
+fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
+    Ok(async {
+        // Without a way to be told, the server runs until the process ends.
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    })
+}

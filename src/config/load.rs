@@ -1,0 +1,222 @@
+//! Reading the settings: file, then environment, then flags, and the checks.
+
+use super::{Config, ConfigError};
+use config::{File, FileFormat, Map, Source, Value, ValueKind};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
+/// tests find recorded logs.
+const OTHER_VARIABLES: [&str; 4] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN"];
+
+/// What variables of the environment begin with.
+const PREFIX: &str = "UBBMAP_";
+
+/// Largest count: that of the counters of permits and of 32-bit lengths.
+const MOST_COUNT: usize = 1 << 28;
+
+/// Largest number of bytes for scans under way.
+const MOST_BYTES: usize = 1 << 40;
+
+/// Most threads for evidence.
+const MOST_THREADS: usize = 1024;
+
+/// Names farther away than this share of their letters are not offered.
+const LEAST_SIMILARITY: f64 = 0.7;
+
+impl Config {
+    /// Reads the settings. `env` is the process's environment (variables that do not begin with `UBBMAP_` are passed
+    /// over; `__` separates a table from its key); `overrides` are flags as `(key, value)`, such as
+    /// `("limits.maps", "10")`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] naming the setting, where it was given, and for an unknown one the nearest known.
+    pub fn load(
+        file: Option<&Path>,
+        env: impl IntoIterator<Item = (String, String)>,
+        overrides: &[(&str, String)],
+    ) -> Result<Self, ConfigError> {
+        let known = known_keys()?;
+        let mut builder = config::Config::builder();
+        if let Some(path) = file {
+            let values = read_file(path)?;
+            for key in flatten(&values) {
+                check_key(&known, &key, || format!("in {}", path.display()))?;
+            }
+            builder = builder.add_source(Layer(values));
+        }
+        for (variable, value) in env {
+            let Some(name) = variable.strip_prefix(PREFIX) else { continue };
+            if OTHER_VARIABLES.contains(&variable.as_str()) {
+                continue;
+            }
+            let key = name.to_lowercase().replace("__", ".");
+            check_key(&known, &key, || format!("in the environment ({variable})"))?;
+            builder = set(builder, &key, value)?;
+        }
+        for (key, value) in overrides {
+            check_key(&known, key, || "on the command line".to_owned())?;
+            builder = set(builder, key, value.clone())?;
+        }
+        let loaded: Self =
+            builder.build().and_then(config::Config::try_deserialize).map_err(|error| value_error(&error))?;
+        loaded.check()?;
+        Ok(loaded)
+    }
+
+    /// Checks the values against each other and their ranges.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] and [`ConfigError::NotLoopback`].
+    pub fn check(&self) -> Result<(), ConfigError> {
+        self.check_counts()?;
+        let limits = &self.limits;
+        let numbers = [
+            ("limits.pose_width", limits.pose_width, 1e6),
+            ("limits.pose_heading_degrees", limits.pose_heading_degrees, 360.0),
+            ("limits.request_seconds", limits.request_seconds, 86_400.0),
+            ("limits.header_seconds", limits.header_seconds, 86_400.0),
+        ];
+        for (key, value, most) in numbers {
+            if !(value > 0.0 && value <= most) {
+                return Err(bad(key, format!("must be above 0 and at most {most}, got {value}")));
+            }
+        }
+        let grace = self.shutdown.grace_seconds;
+        if !(0.0..=86_400.0).contains(&grace) {
+            return Err(bad("shutdown.grace_seconds", format!("must be between 0 and 86400, got {grace}")));
+        }
+        if let Err(problem) = crate::telemetry::check_filter(&self.log) {
+            return Err(bad("log", problem));
+        }
+        if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
+            return Err(ConfigError::NotLoopback(self.listen));
+        }
+        Ok(())
+    }
+}
+
+impl Config {
+    fn check_counts(&self) -> Result<(), ConfigError> {
+        let limits = &self.limits;
+        let counts = [
+            ("limits.body_bytes", limits.body_bytes),
+            ("limits.config_bytes", limits.config_bytes),
+            ("limits.scans_per_request", limits.scans_per_request),
+            ("limits.beams_per_scan", limits.beams_per_scan),
+            ("limits.points_per_query", limits.points_per_query),
+            ("limits.regions_per_query", limits.regions_per_query),
+            ("limits.points_per_region", limits.points_per_region),
+            ("limits.leaves_per_answer", limits.leaves_per_answer),
+            ("limits.cells_per_answer", limits.cells_per_answer),
+            ("limits.maps", limits.maps),
+            ("limits.robots_per_map", limits.robots_per_map),
+            ("limits.connections", limits.connections),
+            ("limits.requests", limits.requests),
+            ("limits.queries", limits.queries),
+            ("writer.queue", self.writer.queue),
+            ("writer.scans_per_commit", self.writer.scans_per_commit),
+        ];
+        let bytes = (limits.insert_bytes, limits.body_bytes, MOST_BYTES);
+        let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
+        let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
+        for (key, (value, least, most)) in
+            ranges.chain([("limits.insert_bytes", bytes), ("writer.evidence_threads", threads)])
+        {
+            if !(least..=most).contains(&value) {
+                return Err(bad(key, format!("must be between {least} and {most}, got {value}")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Values that were read already, as a source of the builder.
+#[derive(Debug, Clone)]
+struct Layer(Map<String, Value>);
+
+impl Source for Layer {
+    fn clone_into_box(&self) -> Box<dyn Source + Send + Sync> {
+        Box::new(self.clone())
+    }
+
+    fn collect(&self) -> Result<Map<String, Value>, config::ConfigError> {
+        Ok(self.0.clone())
+    }
+}
+
+fn read_file(path: &Path) -> Result<Map<String, Value>, ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::File { path: path.to_owned(), source })?;
+    File::from_str(&text, FileFormat::Toml)
+        .collect()
+        .map_err(|error| ConfigError::Syntax { path: path.to_owned(), problem: error.to_string().trim().to_owned() })
+}
+
+/// Every setting's key, taken from the default configuration.
+pub(super) fn known_keys() -> Result<BTreeSet<String>, ConfigError> {
+    let defaults = config::Config::try_from(&Config::default()).map_err(|error| value_error(&error))?;
+    let values = defaults.collect().map_err(|error| value_error(&error))?;
+    Ok(flatten(&values).into_iter().collect())
+}
+
+/// The keys of all values that are not tables, with their tables before them.
+fn flatten(values: &Map<String, Value>) -> Vec<String> {
+    let mut keys = Vec::new();
+    for (name, value) in values {
+        match &value.kind {
+            ValueKind::Table(inner) if !inner.is_empty() => {
+                keys.extend(flatten(inner).into_iter().map(|key| format!("{name}.{key}")));
+            }
+            _ => keys.push(name.clone()),
+        }
+    }
+    keys.sort();
+    keys
+}
+
+fn check_key(known: &BTreeSet<String>, key: &str, origin: impl Fn() -> String) -> Result<(), ConfigError> {
+    if known.contains(key) {
+        return Ok(());
+    }
+    // A table given as a value, or an empty one, is of no use but no riddle either.
+    if known.iter().any(|name| name.strip_prefix(key).is_some_and(|rest| rest.starts_with('.'))) {
+        return Err(bad(key, "is a table of settings, not a value".to_owned()));
+    }
+    let last = |name: &str| name.rsplit('.').next().unwrap_or_default().to_owned();
+    let similarity = |name: &String| {
+        // The right name in the wrong table is near as well.
+        strsim::jaro_winkler(key, name).max(strsim::jaro_winkler(&last(key), &last(name)))
+    };
+    let nearest = known
+        .iter()
+        .max_by(|a, b| similarity(a).total_cmp(&similarity(b)))
+        .filter(|name| similarity(name) >= LEAST_SIMILARITY)
+        .cloned();
+    Err(ConfigError::UnknownKey { key: key.to_owned(), origin: origin(), nearest })
+}
+
+type Builder = config::ConfigBuilder<config::builder::DefaultState>;
+
+fn set(builder: Builder, key: &str, value: String) -> Result<Builder, ConfigError> {
+    builder.set_override(key, value).map_err(|error| bad(key, error.to_string()))
+}
+
+fn bad(key: &str, problem: String) -> ConfigError {
+    ConfigError::Value { key: key.to_owned(), problem }
+}
+
+fn value_error(error: &config::ConfigError) -> ConfigError {
+    match error {
+        config::ConfigError::Type { unexpected, expected, key, .. } => ConfigError::Value {
+            key: key.clone().unwrap_or_else(|| "(unnamed)".to_owned()),
+            problem: format!("invalid value {unexpected}, expected {expected}"),
+        },
+        config::ConfigError::At { error, key, .. } => match value_error(error) {
+            ConfigError::Value { problem, .. } => {
+                ConfigError::Value { key: key.clone().unwrap_or_else(|| "(unnamed)".to_owned()), problem }
+            }
+            other => other,
+        },
+        other => ConfigError::Value { key: "(unnamed)".to_owned(), problem: other.to_string() },
+    }
+}

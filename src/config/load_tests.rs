@@ -1,0 +1,155 @@
+//! The settings: layers, defaults held to the file, and errors that name the key.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use super::{Config, ConfigError, LogFormat, StoreKind};
+use std::io::Write;
+use std::path::Path;
+
+fn file(text: &str) -> tempfile::NamedTempFile {
+    let mut file = tempfile::NamedTempFile::new().unwrap();
+    file.write_all(text.as_bytes()).unwrap();
+    file
+}
+
+fn load(text: &str, env: &[(&str, &str)], overrides: &[(&str, &str)]) -> Result<Config, ConfigError> {
+    let file = file(text);
+    let overrides: Vec<_> = overrides.iter().map(|(key, value)| (*key, (*value).to_owned())).collect();
+    Config::load(Some(file.path()), env.iter().map(|(key, value)| ((*key).to_owned(), (*value).to_owned())), &overrides)
+}
+
+fn message(text: &str, env: &[(&str, &str)]) -> String {
+    load(text, env, &[]).unwrap_err().to_string()
+}
+
+#[test]
+fn nothing_given_is_the_default() {
+    assert_eq!(Config::load(None, [], &[]).unwrap(), Config::default());
+}
+
+#[test]
+fn the_default_file_holds_every_setting_with_its_default() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
+    assert_eq!(Config::load(Some(&path), [], &[]).unwrap(), Config::default());
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut table = String::new();
+    let mut keys = Vec::new();
+    for line in text.lines() {
+        if let Some(name) = line.strip_prefix('[') {
+            table = format!("{}.", name.trim_end_matches(']'));
+        } else if let Some((key, _)) = line.split_once(" = ").filter(|_| !line.starts_with('#')) {
+            keys.push(format!("{table}{key}"));
+        }
+    }
+    keys.sort();
+    let known: Vec<_> = super::load::known_keys().unwrap().into_iter().collect();
+    assert_eq!(keys, known);
+}
+
+#[test]
+fn every_setting_of_the_file_is_read() {
+    // Each value of the default file, changed, must change the configuration.
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let lines: Vec<_> = text.lines().collect();
+    for (at, line) in lines.iter().enumerate() {
+        let Some((key, value)) = line.split_once(" = ").filter(|_| !line.starts_with('#')) else { continue };
+        let other = match value {
+            "\"127.0.0.1:8080\"" => "\"127.0.0.1:9\"",
+            "\"ubbmap-data\"" => "\"elsewhere\"",
+            "\"sled\"" => "\"memory\"",
+            "\"info\"" => "\"debug\"",
+            "\"text\"" => "\"json\"",
+            "false" => "true",
+            "536870912" => "536870913",
+            number if number.contains('.') => "1.5",
+            _ => "77",
+        };
+        let mut changed: Vec<_> = lines.iter().map(|line| (*line).to_owned()).collect();
+        changed[at] = format!("{key} = {other}");
+        assert_ne!(load(&changed.join("\n"), &[], &[]).unwrap(), Config::default(), "{key}");
+    }
+}
+
+#[test]
+fn flags_stand_above_the_environment_above_the_file() {
+    let text = "listen = \"127.0.0.1:1\"\ndata_dir = \"a\"\nlog_format = \"json\"\n[limits]\nmaps = 5\nrequests = 6\n";
+    let env = [
+        ("UBBMAP_LISTEN", "127.0.0.1:2"),
+        ("UBBMAP_LIMITS__MAPS", "7"),
+        ("UBBMAP_STORE", "memory"),
+        ("UBBMAP_INSECURE", "true"),
+        ("UBBMAP_LIMITS__POSE_WIDTH", "0.5"),
+        ("HOME", "/"),
+    ];
+    let config = load(text, &env, &[("listen", "127.0.0.1:3")]).unwrap();
+    assert_eq!(config.listen.port(), 3);
+    assert_eq!(config.data_dir, Path::new("a"));
+    assert_eq!((config.limits.maps, config.limits.requests), (7, 6));
+    assert_eq!((config.store, config.log_format), (StoreKind::Memory, LogFormat::Json));
+    assert!(config.insecure);
+    assert_eq!(config.service_settings().pose.max_position_width, 0.5);
+    assert_eq!(config.service_settings().max_maps, 7);
+}
+
+#[test]
+fn unknown_keys_name_the_nearest() {
+    let text = message("[limits]\nbody_byte = 3\n", &[]);
+    assert!(text.contains("`limits.body_byte`") && text.contains("did you mean `limits.body_bytes`?"), "{text}");
+    let text = message("body_bytes = 3\n", &[]);
+    assert!(text.contains("did you mean `limits.body_bytes`?"), "{text}");
+    let text = message("", &[("UBBMAP_LISTN", "127.0.0.1:2")]);
+    assert!(text.contains("UBBMAP_LISTN") && text.contains("did you mean `listen`?"), "{text}");
+    let text = message("[quux]\nzzz = 1\n", &[]);
+    assert!(text.contains("`quux.zzz`") && !text.contains("did you mean"), "{text}");
+    let text = message("limits = 3\n", &[]);
+    assert!(text.contains("`limits`") && text.contains("table"), "{text}");
+    let text = load("", &[], &[("data_di", "x")]).unwrap_err().to_string();
+    assert!(text.contains("on the command line") && text.contains("`data_dir`"), "{text}");
+}
+
+#[test]
+fn bad_values_name_their_setting() {
+    for (text, key) in [
+        ("listen = \"nowhere\"", "listen"),
+        ("listen = 8080", "listen"),
+        ("store = \"postgres\"", "store"),
+        ("insecure = \"perhaps\"", "insecure"),
+        ("log = \"a=b=c\"", "log"),
+        ("[limits]\nmaps = \"many\"", "limits.maps"),
+        ("[limits]\nmaps = -1", "limits.maps"),
+        ("[limits]\nrequests = 0", "limits.requests"),
+        ("[limits]\npose_width = nan", "limits.pose_width"),
+        ("[limits]\nrequest_seconds = inf", "limits.request_seconds"),
+        ("[shutdown]\ngrace_seconds = -1.0", "shutdown.grace_seconds"),
+    ] {
+        let text = message(text, &[]);
+        assert!(text.contains(&format!("`{key}`")), "{text}");
+    }
+    let text = message("", &[("UBBMAP_LIMITS__MAPS", "many")]);
+    assert!(text.contains("`limits.maps`"), "{text}");
+}
+
+#[test]
+fn files_that_cannot_be_read_are_named() {
+    let text = Config::load(Some(Path::new("/no/such/file.toml")), [], &[]).unwrap_err().to_string();
+    assert!(text.contains("/no/such/file.toml"), "{text}");
+    assert!(matches!(load("listen = ", &[], &[]), Err(ConfigError::Syntax { .. })));
+}
+
+#[test]
+fn an_address_beyond_loopback_needs_a_word() {
+    for address in ["0.0.0.0:80", "[::]:80", "192.168.1.2:80"] {
+        let text = format!("listen = \"{address}\"");
+        assert!(matches!(load(&text, &[], &[]), Err(ConfigError::NotLoopback(_))), "{address}");
+        assert!(load(&text, &[], &[("insecure", "true")]).is_ok());
+    }
+    for address in ["[::1]:80", "127.1.2.3:80", "[::ffff:127.0.0.1]:80"] {
+        assert!(load(&format!("listen = \"{address}\""), &[], &[]).is_ok(), "{address}");
+    }
+}
+
+#[test]
+fn the_variable_of_the_recorded_logs_named_the_store_too() {
+    let config = load("", &[("UBBMAP_DATA", "logs"), ("UBBMAP_DATA_DIR", "maps")], &[]).unwrap();
+    assert_eq!(config.data_dir, Path::new("maps"));
+}

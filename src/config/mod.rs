@@ -1,0 +1,219 @@
+//! Floor 6: the settings of the server: a file, under the environment, under flags.
+//!
+//! Everything is read and checked before a port is bound. An unknown key is an error that names the nearest known one.
+
+mod error;
+mod load;
+#[cfg(test)]
+mod load_tests;
+
+use crate::mapping::RegionLimits;
+use crate::sensor::{PoseLimits, ScanLimits};
+use crate::service::ServiceSettings;
+use serde::{Deserialize, Serialize};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+pub use error::ConfigError;
+
+/// Where maps are kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StoreKind {
+    /// In the data directory, durable.
+    Sled,
+    /// In memory: nothing outlives the process.
+    Memory,
+}
+
+/// The form of the log lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// The settings of a server; `config/default.toml` explains each with its unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Address to listen on.
+    pub listen: SocketAddr,
+    /// Allow an address beyond loopback without tokens.
+    pub insecure: bool,
+    /// Directory of the store.
+    pub data_dir: PathBuf,
+    /// Where maps are kept.
+    pub store: StoreKind,
+    /// Level or filter of the log.
+    pub log: String,
+    /// Form of the log lines.
+    pub log_format: LogFormat,
+    /// Limits on what comes from outside.
+    pub limits: Limits,
+    /// One map's writer.
+    pub writer: Writer,
+    /// The end of the server.
+    pub shutdown: Shutdown,
+}
+
+/// Limits on what comes from outside.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Largest request body, bytes, also after decompression.
+    pub body_bytes: usize,
+    /// Largest body of a map configuration, bytes.
+    pub config_bytes: usize,
+    /// Most scans of one request.
+    pub scans_per_request: usize,
+    /// Most beams of one scan.
+    pub beams_per_scan: usize,
+    /// Widest pose box along x and y, metres.
+    pub pose_width: f64,
+    /// Widest pose box in theta, degrees.
+    pub pose_heading_degrees: f64,
+    /// Most points of a classes query.
+    pub points_per_query: usize,
+    /// Most regions of a guaranteed-free query.
+    pub regions_per_query: usize,
+    /// Most points of one polygon or path.
+    pub points_per_region: usize,
+    /// Most leaves of a region answer.
+    pub leaves_per_answer: usize,
+    /// Most cells of a grid answer.
+    pub cells_per_answer: usize,
+    /// Most maps.
+    pub maps: usize,
+    /// Most robots of one map that send numbered scans.
+    pub robots_per_map: usize,
+    /// Most connections open at once.
+    pub connections: usize,
+    /// Most requests worked on at once.
+    pub requests: usize,
+    /// Bytes that all scans under way and their evidence may take together.
+    pub insert_bytes: usize,
+    /// Heavy queries computed at once.
+    pub queries: usize,
+    /// Longest time for one request, seconds.
+    pub request_seconds: f64,
+    /// Longest time for a request's head to arrive, seconds.
+    pub header_seconds: f64,
+}
+
+/// One map's writer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Writer {
+    /// Insert requests that may wait.
+    pub queue: usize,
+    /// Most scans of one commit.
+    pub scans_per_commit: usize,
+    /// Threads that compute evidence; 0 is one a core.
+    pub evidence_threads: usize,
+}
+
+/// The end of the server.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Shutdown {
+    /// How long requests under way may take to end, seconds.
+    pub grace_seconds: f64,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            insecure: false,
+            data_dir: PathBuf::from("ubbmap-data"),
+            store: StoreKind::Sled,
+            log: "info".to_owned(),
+            log_format: LogFormat::Text,
+            limits: Limits::default(),
+            writer: Writer::default(),
+            shutdown: Shutdown::default(),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            body_bytes: 16 << 20,
+            config_bytes: 1 << 20,
+            scans_per_request: 1024,
+            beams_per_scan: 20_000,
+            pose_width: 2.0,
+            pose_heading_degrees: 60.0,
+            points_per_query: 100_000,
+            regions_per_query: 10_000,
+            points_per_region: 4096,
+            leaves_per_answer: 1_000_000,
+            cells_per_answer: 16_777_216,
+            maps: 10_000,
+            robots_per_map: 10_000,
+            connections: 1024,
+            requests: 256,
+            insert_bytes: 512 << 20,
+            queries: 32,
+            request_seconds: 30.0,
+            header_seconds: 10.0,
+        }
+    }
+}
+
+impl Default for Writer {
+    fn default() -> Self {
+        Self { queue: 256, scans_per_commit: 4096, evidence_threads: 0 }
+    }
+}
+
+impl Default for Shutdown {
+    fn default() -> Self {
+        Self { grace_seconds: 10.0 }
+    }
+}
+
+impl Config {
+    /// The part that the service takes.
+    #[must_use]
+    pub fn service_settings(&self) -> ServiceSettings {
+        let limits = &self.limits;
+        ServiceSettings {
+            pose: PoseLimits {
+                max_position_width: limits.pose_width,
+                max_heading_width: limits.pose_heading_degrees.to_radians(),
+            },
+            scan: ScanLimits { max_beams: limits.beams_per_scan },
+            region: RegionLimits { max_points: limits.points_per_region },
+            max_scans_per_request: limits.scans_per_request,
+            max_points: limits.points_per_query,
+            max_regions: limits.regions_per_query,
+            max_leaves: limits.leaves_per_answer,
+            max_cells: limits.cells_per_answer,
+            max_maps: limits.maps,
+            max_robots: limits.robots_per_map,
+            queue_length: self.writer.queue,
+            max_scans_per_commit: self.writer.scans_per_commit,
+            max_bytes_in_flight: limits.insert_bytes,
+            max_concurrent_queries: limits.queries,
+            evidence_threads: self.writer.evidence_threads,
+        }
+    }
+
+    /// How long requests under way may take to end.
+    #[must_use]
+    pub fn grace(&self) -> Duration {
+        seconds(self.shutdown.grace_seconds)
+    }
+}
+
+/// A checked number of seconds as a duration; out of range becomes the longest one.
+pub(crate) fn seconds(value: f64) -> Duration {
+    Duration::try_from_secs_f64(value).unwrap_or(Duration::MAX)
+}

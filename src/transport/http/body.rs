@@ -1,0 +1,163 @@
+//! Bodies of requests: read whole under a limit, decompressed under the same limit, and their form.
+
+use super::HttpError;
+use crate::service::{ErrorKind, ServiceError};
+use crate::wire::Encoding;
+use axum::body::{Body, Bytes};
+use axum::http::{HeaderMap, header};
+use flate2::read::MultiGzDecoder;
+use http_body_util::BodyExt;
+use std::io::Read;
+
+/// Of a body that is too large, this many times the limit is read and thrown away before the answer: a client that
+/// only reads once it has written all would else never see why it was refused.
+const DISCARDED_LIMITS: usize = 4;
+
+/// Bodies above this many bytes are decoded on a thread of their own, so that they do not hold up other requests.
+const DECODE_APART_ABOVE: usize = 64 * 1024;
+
+/// How the scans of a body are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ScanEncoding {
+    /// One message.
+    Message(Encoding),
+    /// One scan a line.
+    Lines,
+}
+
+/// Reads a body and undoes its `Content-Encoding`.
+///
+/// # Errors
+/// [`ErrorKind::BodyTooLarge`], [`ErrorKind::UnsupportedMediaType`] for an encoding other than gzip,
+/// [`ErrorKind::InvalidRequest`] for a body that breaks off or is not gzip.
+pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Result<Bytes, HttpError> {
+    let bytes = collect(body, limit).await?;
+    let encoding = header_text(headers, &header::CONTENT_ENCODING)?;
+    match encoding.as_deref() {
+        None | Some("" | "identity") => Ok(bytes),
+        Some("gzip" | "x-gzip") => apart(bytes.len(), move || unzip(&bytes, limit)).await,
+        Some(other) => {
+            let detail = format!("content-encoding {other:?} is not known: send gzip or none");
+            Err(HttpError(ServiceError::new(ErrorKind::UnsupportedMediaType, detail).at("content-encoding")))
+        }
+    }
+}
+
+/// The form of a body that is a message; JSON where the header is missing.
+///
+/// # Errors
+/// [`ErrorKind::UnsupportedMediaType`]
+pub fn message_encoding(headers: &HeaderMap) -> Result<Encoding, HttpError> {
+    match scan_encoding(headers) {
+        Ok(ScanEncoding::Message(encoding)) => Ok(encoding),
+        Ok(ScanEncoding::Lines) | Err(_) => Err(unsupported(headers, "application/json or application/x-protobuf")),
+    }
+}
+
+/// The form of a body of scans; JSON where the header is missing.
+///
+/// # Errors
+/// [`ErrorKind::UnsupportedMediaType`]
+pub fn scan_encoding(headers: &HeaderMap) -> Result<ScanEncoding, HttpError> {
+    let known = "application/json, application/x-ndjson or application/x-protobuf";
+    let text = header_text(headers, &header::CONTENT_TYPE)?;
+    let media = text.as_deref().map(|text| text.split(';').next().unwrap_or_default().trim());
+    match media {
+        // Browsers send a page's request to another site without asking that site first when it has no content-type.
+        // They name the page's origin then, and no other client does.
+        None if headers.contains_key(header::ORIGIN) => Err(unsupported(headers, known)),
+        None | Some("application/json") => Ok(ScanEncoding::Message(Encoding::Json)),
+        Some("application/x-protobuf" | "application/protobuf") => Ok(ScanEncoding::Message(Encoding::Protobuf)),
+        Some("application/x-ndjson" | "application/ndjson" | "application/jsonl") => Ok(ScanEncoding::Lines),
+        Some(_) => Err(unsupported(headers, known)),
+    }
+}
+
+/// Runs a piece of work here when it is small, else on a thread where it holds nobody up.
+///
+/// # Errors
+/// Those of the work, and [`ErrorKind::Internal`] when it panics.
+pub async fn apart<T: Send + 'static>(
+    size: usize,
+    work: impl FnOnce() -> Result<T, HttpError> + Send + 'static,
+) -> Result<T, HttpError> {
+    if size <= DECODE_APART_ABOVE {
+        return work();
+    }
+    match tokio::task::spawn_blocking(work).await {
+        Ok(result) => result,
+        Err(error) => {
+            tracing::error!(%error, "a piece of work failed");
+            Err(HttpError::new(ErrorKind::Internal, "the server failed to work on the request"))
+        }
+    }
+}
+
+async fn collect(mut body: Body, limit: usize) -> Result<Bytes, HttpError> {
+    let mut kept: Vec<u8> = Vec::new();
+    let mut only = Bytes::new();
+    let mut total = 0;
+    while let Some(frame) = body.frame().await {
+        let frame = frame
+            .map_err(|_| HttpError(ServiceError::new(ErrorKind::InvalidRequest, "the body broke off").at("body")))?;
+        let Ok(data) = frame.into_data() else { continue };
+        if total == 0 {
+            // A body of one piece is taken without a copy.
+            only = data.clone();
+        } else if total <= limit {
+            if kept.is_empty() {
+                kept.extend_from_slice(&only);
+            }
+            kept.extend_from_slice(&data);
+        }
+        total += data.len();
+        if total > limit {
+            kept = Vec::new();
+            only = Bytes::new();
+        }
+        if total > limit.saturating_mul(DISCARDED_LIMITS) {
+            break;
+        }
+    }
+    if total > limit {
+        return Err(too_large(limit, ""));
+    }
+    Ok(if kept.is_empty() { only } else { Bytes::from(kept) })
+}
+
+fn unzip(bytes: &[u8], limit: usize) -> Result<Bytes, HttpError> {
+    let mut plain = Vec::new();
+    let most = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
+    MultiGzDecoder::new(bytes).take(most).read_to_end(&mut plain).map_err(|error| {
+        let detail = format!("the body is not valid gzip: {error}");
+        HttpError(ServiceError::new(ErrorKind::InvalidRequest, detail).at("body"))
+    })?;
+    if plain.len() > limit {
+        return Err(too_large(limit, " after decompression"));
+    }
+    Ok(Bytes::from(plain))
+}
+
+fn too_large(limit: usize, when: &str) -> HttpError {
+    let detail = format!("the body is larger than {limit} bytes{when}, the limit: send less at a time");
+    HttpError(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"))
+}
+
+fn unsupported(headers: &HeaderMap, known: &str) -> HttpError {
+    let given = headers.get(header::CONTENT_TYPE).map(|value| String::from_utf8_lossy(value.as_bytes()).into_owned());
+    let given: String = given.unwrap_or_default().chars().take(80).collect();
+    let detail = format!("content-type {given:?} is not taken here: send {known}");
+    HttpError(ServiceError::new(ErrorKind::UnsupportedMediaType, detail).at("content-type"))
+}
+
+/// A header's text in lower case.
+fn header_text(headers: &HeaderMap, name: &header::HeaderName) -> Result<Option<String>, HttpError> {
+    let Some(value) = headers.get(name) else { return Ok(None) };
+    match value.to_str() {
+        Ok(text) => Ok(Some(text.trim().to_ascii_lowercase())),
+        Err(_) => {
+            let detail = format!("the header {name} is not readable text");
+            Err(HttpError(ServiceError::new(ErrorKind::UnsupportedMediaType, detail).at(name.as_str())))
+        }
+    }
+}

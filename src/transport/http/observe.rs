@@ -1,0 +1,97 @@
+//! Around every request: its place among the requests under way, its time, its metrics, and panics.
+
+use super::problem::HttpError;
+use super::{App, Shared};
+use crate::service::ErrorKind;
+use axum::body::Body;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::Response as HttpResponse;
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use std::any::Any;
+use std::time::Instant;
+use tokio::sync::OwnedSemaphorePermit;
+
+/// What begins with this is limited; health and metrics answer also when the server is full.
+const OPERATIONS: &str = "/v1/";
+
+const SECONDS: &str = "ubbmap_http_request_seconds";
+const TOTAL: &str = "ubbmap_http_requests_total";
+const IN_FLIGHT: &str = "ubbmap_http_requests_in_flight";
+
+/// Tells the recorder what each metric means. Call it once, after the recorder is installed.
+pub fn describe_metrics() {
+    describe_histogram!(SECONDS, "Seconds from a request's head to its answer, by method and route");
+    describe_counter!(TOTAL, "Requests by method, route and status");
+    describe_gauge!(IN_FLIGHT, "Operations under way");
+}
+
+/// Limits, times and counts a request.
+pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Response {
+    let method = match request.method().as_str() {
+        // Any other word is the client's, and would be a label of its own.
+        known @ ("GET" | "HEAD" | "PUT" | "POST" | "DELETE" | "OPTIONS" | "PATCH") => known.to_owned(),
+        _ => "other".to_owned(),
+    };
+    let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
+    let route = matched.unwrap_or_else(|| "none".to_owned());
+    let begun = Instant::now();
+    let response = limited(&app, request, next).await;
+    let status = response.status().as_u16().to_string();
+    let labels = [("method", method), ("route", route)];
+    histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());
+    let [method, route] = labels;
+    counter!(TOTAL, &[method, route, ("status", status)]).increment(1);
+    response
+}
+
+async fn limited(app: &Shared, request: Request, next: Next) -> Response {
+    let _place = match place(app, &request) {
+        Ok(place) => place,
+        Err(error) => return error.into_response(),
+    };
+    match tokio::time::timeout(app.settings.request_timeout, next.run(request)).await {
+        Ok(response) => response,
+        Err(_) => {
+            let seconds = app.settings.request_timeout.as_secs_f64();
+            let detail = format!("the request was not done within {seconds} s; scans it held may still be applied");
+            HttpError::new(ErrorKind::Timeout, detail).into_response()
+        }
+    }
+}
+
+/// A place among the requests under way; given back when dropped, also when the client has gone.
+struct Place {
+    _permit: OwnedSemaphorePermit,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        gauge!(IN_FLIGHT).decrement(1.0);
+    }
+}
+
+fn place(app: &Shared, request: &Request) -> Result<Option<Place>, HttpError> {
+    if !request.uri().path().starts_with(OPERATIONS) {
+        return Ok(None);
+    }
+    let permit = std::sync::Arc::clone(&app.requests).try_acquire_owned().map_err(|_| {
+        let detail = format!("{} requests are under way, the limit: try again later", app.settings.requests);
+        HttpError::new(ErrorKind::Busy, detail)
+    })?;
+    gauge!(IN_FLIGHT).increment(1.0);
+    Ok(Some(Place { _permit: permit }))
+}
+
+/// The answer to a request whose handler panicked. The panic's words are for the log.
+#[expect(clippy::needless_pass_by_value, reason = "the layer calls it with the value")]
+pub fn panicked(panic: Box<dyn Any + Send + 'static>) -> HttpResponse<Body> {
+    let words = panic
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("without words");
+    tracing::error!(panic = words, "a request panicked");
+    HttpError::new(ErrorKind::Internal, "the server failed to answer the request").into_response()
+}

@@ -1,0 +1,73 @@
+//! The listener: connections are accepted, limited, timed, and let go at the end.
+
+use axum::Router;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::service::TowerToHyperService;
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+
+/// How long to wait after a failed accept: out of file descriptors, the next one fails as well.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// Limits on connections.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ServeLimits {
+    /// Most open at once; more wait to be accepted.
+    pub connections: usize,
+    /// Longest time for a request's head to arrive.
+    pub header_timeout: Duration,
+    /// How long requests under way may take to end once `stop` is done.
+    pub grace: Duration,
+}
+
+/// Serves until `stop` is done; then accepts no more, ends idle connections, and waits for requests under way for the
+/// time of grace.
+pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, stop: impl Future<Output = ()>) {
+    let mut builder = http1::Builder::new();
+    builder.timer(TokioTimer::new()).header_read_timeout(limits.header_timeout);
+    let connections = Arc::new(Semaphore::new(limits.connections));
+    let graceful = GracefulShutdown::new();
+    tokio::pin!(stop);
+    loop {
+        let accepted = async {
+            // The semaphore is never closed.
+            let permit = Arc::clone(&connections).acquire_owned().await.ok();
+            (listener.accept().await, permit)
+        };
+        let (stream, permit) = tokio::select! {
+            () = &mut stop => break,
+            (accepted, permit) = accepted => match accepted {
+                Ok((stream, _)) => (stream, permit),
+                Err(error) => {
+                    tracing::warn!(%error, "cannot accept a connection");
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
+                    continue;
+                }
+            },
+        };
+        let connection = builder.serve_connection(io(stream), TowerToHyperService::new(router.clone()));
+        let connection = graceful.watch(connection);
+        tokio::spawn(async move {
+            if let Err(error) = connection.await {
+                // A client that went away or sent no HTTP: its affair.
+                tracing::debug!(%error, "a connection ended early");
+            }
+            drop(permit);
+        });
+    }
+    drop(listener);
+    if tokio::time::timeout(limits.grace, graceful.shutdown()).await.is_err() {
+        tracing::warn!("requests were still under way at the end of the time of grace");
+    }
+}
+
+fn io(stream: TcpStream) -> TokioIo<TcpStream> {
+    // Small answers should not wait for the next packet; a socket that refuses works all the same.
+    let _ = stream.set_nodelay(true);
+    TokioIo::new(stream)
+}

@@ -1,0 +1,69 @@
+//! Health, metrics, the index, and paths that are not there.
+
+use super::params::Params;
+use super::{App, HttpError, respond};
+use crate::service::ErrorKind;
+use axum::body::Bytes;
+use axum::extract::{Request, State};
+use axum::http::{Method, Uri};
+use axum::response::Response;
+use serde_json::json;
+
+/// What there is, as `/` tells it.
+const ROUTES: [&str; 15] = [
+    "GET /healthz",
+    "GET /readyz",
+    "GET /metrics",
+    "GET /v1/maps",
+    "PUT /v1/maps/{map}",
+    "GET /v1/maps/{map}",
+    "DELETE /v1/maps/{map}",
+    "POST /v1/maps/{map}/scans",
+    "POST /v1/maps/{map}/classes",
+    "POST /v1/maps/{map}/guaranteed-free",
+    "GET /v1/maps/{map}/region?min_x=&min_y=&max_x=&max_y=&depth=",
+    "GET /v1/maps/{map}/grid?min_x=&min_y=&max_x=&max_y=&depth=&format=",
+    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png",
+    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.npy",
+    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.pb",
+];
+
+/// `GET /`
+pub async fn index(request: Request) -> Result<Response, HttpError> {
+    Params::none(request.uri())?;
+    let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": ROUTES });
+    Ok(respond::bytes_of(super::accept::JSON, Bytes::from(index.to_string())))
+}
+
+/// `GET /healthz`: the process answers.
+pub async fn healthz() -> Response {
+    respond::bytes_of(super::accept::JSON, Bytes::from_static(b"{\"status\":\"ok\"}"))
+}
+
+/// `GET /readyz`: it takes work.
+pub async fn readyz(State(app): State<App>) -> Result<Response, HttpError> {
+    if app.draining.has_begun() {
+        return Err(HttpError::new(ErrorKind::ShuttingDown, "the server is draining"));
+    }
+    if !app.service.is_ready() {
+        return Err(HttpError::new(ErrorKind::StoreFailed, "the service takes no writes"));
+    }
+    Ok(respond::bytes_of(super::accept::JSON, Bytes::from_static(b"{\"status\":\"ready\"}")))
+}
+
+/// `GET /metrics`
+pub async fn metrics(State(app): State<App>) -> Response {
+    respond::bytes_of("text/plain; version=0.0.4; charset=utf-8", Bytes::from((app.metrics)()))
+}
+
+/// Any path without a route.
+pub async fn route_not_found(uri: Uri) -> HttpError {
+    let path: String = uri.path().chars().take(200).collect();
+    HttpError::new(ErrorKind::RouteNotFound, format!("there is nothing at {path}; / names what there is"))
+}
+
+/// A route with another method; the `Allow` header is added by the router.
+pub async fn method_not_allowed(method: Method) -> HttpError {
+    let method: String = method.as_str().chars().take(40).collect();
+    HttpError::new(ErrorKind::MethodNotAllowed, format!("{method} is not allowed here; the Allow header names what is"))
+}
