@@ -1,0 +1,266 @@
+//! The one HTTP client of the command line: protobuf bodies over REST, blocking.
+
+use super::output::Failure;
+use crate::mapping::MapConfig;
+use crate::store::MapName;
+use crate::transport::http::Problem;
+use crate::wire::{to_wire_config, v1};
+use clap::Args;
+use prost::Message;
+use std::time::{Duration, Instant};
+use thiserror::Error;
+
+const PROTOBUF: &str = "application/x-protobuf";
+
+/// Where a server is looked for by default: that of `ubbmap serve` without flags.
+const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
+
+/// Largest answer that is read, bytes.
+const MAX_ANSWER_BYTES: u64 = 256 << 20;
+
+/// Longest time for one request, seconds.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Names farther apart than this are not offered.
+const LEAST_SIMILARITY: f64 = 0.7;
+
+/// First pause before a request is sent again; it doubles up to [`LONGEST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_millis(50);
+
+const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+/// Which server is asked.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Server")]
+pub(super) struct ServerOptions {
+    /// The server [default: $UBBMAP_SERVER, or http://127.0.0.1:8080]
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+}
+
+/// Why a request failed.
+#[derive(Debug, Clone, Error)]
+pub(super) enum ClientError {
+    /// No answer came.
+    #[error("cannot reach the server at {server}: {why}")]
+    Unreachable {
+        /// Its address.
+        server: String,
+        /// Why.
+        why: String,
+    },
+    /// The server refused.
+    #[error("{detail} ({code})")]
+    Refused {
+        /// HTTP status.
+        status: u16,
+        /// The stable word.
+        code: String,
+        /// A sentence.
+        detail: String,
+        /// How long to wait before another try.
+        retry_after: Option<Duration>,
+    },
+    /// The answer is not one of this interface.
+    #[error("{0}: is it an ubbmap server?")]
+    NotUnderstood(String),
+}
+
+impl ClientError {
+    /// True where the same request may succeed later.
+    pub(super) fn is_passing(&self) -> bool {
+        match self {
+            Self::Unreachable { .. } => true,
+            Self::Refused { status, .. } => matches!(status, 429 | 502..=504),
+            Self::NotUnderstood(_) => false,
+        }
+    }
+
+    fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::Refused { retry_after, .. } => *retry_after,
+            _ => None,
+        }
+    }
+
+    pub(super) fn is(&self, word: &str) -> bool {
+        matches!(self, Self::Refused { code, .. } if code == word)
+    }
+}
+
+/// A connection to one server. Cheap to clone; clones share connections.
+#[derive(Debug, Clone)]
+pub(super) struct Client {
+    agent: ureq::Agent,
+    server: String,
+    token: Option<String>,
+}
+
+impl Client {
+    /// A client of the server that the flags or the environment name.
+    pub(super) fn new(options: &ServerOptions) -> Result<Self, Failure> {
+        let server = options.server.clone().or_else(|| std::env::var("UBBMAP_SERVER").ok());
+        Self::of(server.as_deref().unwrap_or(DEFAULT_SERVER))
+    }
+
+    /// A client of a server.
+    ///
+    /// # Errors
+    /// Bad usage for what is no URL.
+    pub(super) fn of(server: &str) -> Result<Self, Failure> {
+        let server = server.trim_end_matches('/');
+        if !server.starts_with("http://") {
+            return Err(Failure::Usage(format!("--server {server:?} must be a URL that begins with http://")));
+        }
+        let config = ureq::Agent::config_builder()
+            .http_status_as_error(false)
+            .timeout_global(Some(REQUEST_TIMEOUT))
+            .timeout_connect(Some(Duration::from_secs(5)))
+            .user_agent(concat!("ubbmap/", env!("CARGO_PKG_VERSION")))
+            .build();
+        Ok(Self { agent: config.into(), server: server.to_owned(), token: std::env::var("UBBMAP_TOKEN").ok() })
+    }
+
+    /// Creates a map, or finds it there with this configuration.
+    pub(super) fn create_map(&self, map: &MapName, config: &MapConfig) -> Result<v1::CreateMapResponse, ClientError> {
+        let request = v1::CreateMapRequest { map: map.as_str().to_owned(), config: Some(to_wire_config(config)) };
+        self.call("PUT", &format!("/v1/maps/{map}"), Some(request.encode_to_vec()))
+    }
+
+    /// Describes a map.
+    pub(super) fn map(&self, map: &MapName) -> Result<v1::GetMapResponse, ClientError> {
+        self.call("GET", &format!("/v1/maps/{map}"), None)
+    }
+
+    /// Lists the maps.
+    pub(super) fn maps(&self) -> Result<v1::ListMapsResponse, ClientError> {
+        self.call("GET", "/v1/maps", None)
+    }
+
+    /// Deletes a map.
+    pub(super) fn delete_map(&self, map: &MapName) -> Result<v1::DeleteMapResponse, ClientError> {
+        self.call("DELETE", &format!("/v1/maps/{map}"), None)
+    }
+
+    /// Inserts scans; they are durable when the answer is there.
+    pub(super) fn insert(&self, map: &MapName, scans: &[v1::Scan]) -> Result<v1::InsertScansResponse, ClientError> {
+        let request = v1::InsertScansRequest { map: map.as_str().to_owned(), scans: scans.to_vec() };
+        self.call("POST", &format!("/v1/maps/{map}/scans"), Some(request.encode_to_vec()))
+    }
+
+    /// Asks whether regions are guaranteed free.
+    pub(super) fn check(
+        &self,
+        map: &MapName,
+        regions: Vec<v1::Region>,
+        tolerance: u32,
+    ) -> Result<v1::CheckGuaranteedFreeResponse, ClientError> {
+        let request = v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance };
+        self.call("POST", &format!("/v1/maps/{map}/guaranteed-free"), Some(request.encode_to_vec()))
+    }
+
+    /// Turns a failed request about a map into the command's failure; an unknown map comes with the nearest known.
+    pub(super) fn explain(&self, map: &MapName, error: ClientError) -> Failure {
+        if error.is("MAP_NOT_FOUND") {
+            let known = self.maps().map(|list| list.maps).unwrap_or_default();
+            let nearest = known
+                .iter()
+                .map(|known| (strsim::jaro_winkler(&known.name, map.as_str()), known.name.as_str()))
+                .filter(|(similarity, _)| *similarity >= LEAST_SIMILARITY)
+                .max_by(|a, b| a.0.total_cmp(&b.0));
+            let hint = match nearest {
+                Some((_, name)) => format!("did you mean '{name}'?"),
+                None if known.is_empty() => "the server has no maps yet".to_owned(),
+                None => "`ubbmap map list` shows those there are".to_owned(),
+            };
+            return Failure::Failed(anyhow::anyhow!("no map '{map}'; {hint}"));
+        }
+        Failure::Failed(error.into())
+    }
+
+    /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`.
+    pub(super) fn patiently<T>(
+        patience: Duration,
+        stop: impl Fn() -> bool,
+        request: impl Fn() -> Result<T, ClientError>,
+    ) -> Result<T, ClientError> {
+        let started = Instant::now();
+        let mut pause = FIRST_PAUSE;
+        loop {
+            match request() {
+                Err(error) if error.is_passing() && !stop() => {
+                    let wait = error.retry_after().map_or(pause, |asked| asked.min(LONGEST_PAUSE));
+                    if started.elapsed() + wait > patience {
+                        return Err(error);
+                    }
+                    std::thread::sleep(wait);
+                    pause = (2 * pause).min(LONGEST_PAUSE);
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn call<T: Message + Default>(&self, method: &str, path: &str, body: Option<Vec<u8>>) -> Result<T, ClientError> {
+        let bytes = self.exchange(method, path, body)?;
+        T::decode(bytes.as_slice())
+            .map_err(|error| ClientError::NotUnderstood(format!("{} answered {path} with {error}", self.server)))
+    }
+
+    fn exchange(&self, method: &str, path: &str, body: Option<Vec<u8>>) -> Result<Vec<u8>, ClientError> {
+        let mut request = ureq::http::Request::builder()
+            .method(method)
+            .uri(format!("{}{path}", self.server))
+            .header("accept", format!("{PROTOBUF}, application/problem+json"));
+        if let Some(token) = &self.token {
+            request = request.header("authorization", format!("Bearer {token}"));
+        }
+        let unreachable = |why: &dyn std::fmt::Display| ClientError::Unreachable {
+            server: self.server.clone(),
+            why: why.to_string(),
+        };
+        let answer = match body {
+            Some(body) => {
+                self.agent.run(request.header("content-type", PROTOBUF).body(body).map_err(|e| unreachable(&e))?)
+            }
+            None => self.agent.run(request.body(()).map_err(|e| unreachable(&e))?),
+        };
+        let mut answer = answer.map_err(|error| unreachable(&error))?;
+        let status = answer.status().as_u16();
+        let retry_after = answer
+            .headers()
+            .get("retry-after")
+            .and_then(|value| value.to_str().ok()?.parse().ok())
+            .map(Duration::from_secs);
+        let bytes = answer
+            .body_mut()
+            .with_config()
+            .limit(MAX_ANSWER_BYTES)
+            .read_to_vec()
+            .map_err(|error| unreachable(&error))?;
+        if (200..300).contains(&status) {
+            return Ok(bytes);
+        }
+        Err(match serde_json::from_slice::<Problem>(&bytes) {
+            Ok(problem) => {
+                let field = problem.field.map(|field| format!("{field}: ")).unwrap_or_default();
+                let detail = format!("{field}{}", problem.detail);
+                ClientError::Refused { status, code: problem.code, detail, retry_after }
+            }
+            // A proxy between, perhaps: its status still tells whether to try again.
+            Err(_) if matches!(status, 429 | 502..=504) => {
+                let detail = format!("{} answered with status {status}", self.server);
+                ClientError::Refused { status, code: "HTTP".to_owned(), detail, retry_after }
+            }
+            Err(_) => ClientError::NotUnderstood(format!("{} answered {path} with status {status}", self.server)),
+        })
+    }
+}
+
+/// Checks a map's name from the command line.
+///
+/// # Errors
+/// The rule that it breaks.
+pub(super) fn map_name(text: &str) -> Result<MapName, String> {
+    MapName::new(text).map_err(|error| error.to_string())
+}

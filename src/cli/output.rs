@@ -1,0 +1,133 @@
+//! What a command writes, and how it ends.
+
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Bad usage, as the argument parser has it too.
+const BAD_USAGE: u8 = 2;
+
+/// Bad configuration.
+const BAD_CONFIGURATION: u8 = 64;
+
+/// How often a line tells of the progress where there is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+
+/// Why a command did not do what it was asked for.
+#[derive(Debug)]
+pub(super) enum Failure {
+    /// It failed: exit code 1.
+    Failed(anyhow::Error),
+    /// Its arguments make no sense together: exit code 2.
+    Usage(String),
+    /// The server's configuration is refused: exit code 64.
+    Configuration(String),
+}
+
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Failed(error.into())
+    }
+}
+
+impl Failure {
+    /// Says on stderr what went wrong, and gives the exit code.
+    pub(super) fn report(&self) -> ExitCode {
+        let (text, code) = match self {
+            Self::Failed(error) => (causes(error), 1),
+            Self::Usage(text) => (text.clone(), BAD_USAGE),
+            Self::Configuration(text) => (text.clone(), BAD_CONFIGURATION),
+        };
+        note(&format!("error: {text}"));
+        ExitCode::from(code)
+    }
+}
+
+/// An error and its causes, each once: some repeat theirs in their own words.
+pub(super) fn causes(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain() {
+        let cause = cause.to_string();
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text.push_str(": ");
+            text.push_str(&cause);
+        }
+    }
+    text
+}
+
+/// Writes a line to stdout.
+///
+/// # Errors
+/// When stdout cannot be written, but for a reader that has seen enough.
+pub(super) fn say(text: &str) -> Result<(), Failure> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow::Error::new(error).context("cannot write to stdout").into())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes a line to stderr. Nothing can be done where that fails.
+pub(super) fn note(text: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
+/// Writes a JSON value to stdout, on one line.
+pub(super) fn say_json(value: &impl serde::Serialize) -> Result<(), Failure> {
+    say(&serde_json::to_string(value)?)
+}
+
+/// Progress of long work: a bar on a terminal, a line now and then elsewhere.
+pub(super) struct Progress {
+    bar: indicatif::ProgressBar,
+    lines: bool,
+    what: &'static str,
+    total: u64,
+    started: Instant,
+    told: Instant,
+}
+
+impl Progress {
+    /// `total` in the unit of [`Progress::update`]'s position; `what` is counted beside it, as `scans`.
+    pub(super) fn new(total: u64, what: &'static str, quiet: bool) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let bar =
+            if terminal && !quiet { indicatif::ProgressBar::new(total) } else { indicatif::ProgressBar::hidden() };
+        let template = "{elapsed_precise} [{wide_bar}] {percent:>3}%  {msg}  ETA {eta}";
+        if let Ok(style) = indicatif::ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        let now = Instant::now();
+        Self { bar, lines: !terminal && !quiet, what, total, started: now, told: now }
+    }
+
+    /// Shows how far the work is, and how many things are done.
+    pub(super) fn update(&mut self, position: u64, done: u64) {
+        let seconds = self.started.elapsed().as_secs_f64();
+        if !self.bar.is_hidden() {
+            self.bar.set_position(position);
+            self.bar.set_message(format!("{done} {}, {:.0}/s", self.what, done as f64 / seconds.max(1e-3)));
+        }
+        if self.lines && self.told.elapsed() >= LINE_EVERY {
+            self.told = Instant::now();
+            let share = if self.total == 0 { 1.0 } else { (position as f64 / self.total as f64).min(1.0) };
+            let left = if share > 0.0 { seconds * (1.0 - share) / share } else { 0.0 };
+            note(&format!(
+                "{done} {}, {:.0} %, {:.0}/s, about {left:.0} s left",
+                self.what,
+                100.0 * share,
+                done as f64 / seconds
+            ));
+        }
+    }
+
+    /// Takes the bar away.
+    pub(super) fn finish(self) {
+        self.bar.finish_and_clear();
+    }
+}

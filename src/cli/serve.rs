@@ -1,0 +1,78 @@
+//! `ubbmap serve`: the server.
+
+use super::output::{Failure, say};
+use crate::app::{self, AppError};
+use crate::config::Config;
+use crate::telemetry;
+use clap::Args;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Runs the server; prints one line with its address when it is ready, and ends on SIGTERM when all is durable.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Flags stand above the environment (UBBMAP_LISTEN, UBBMAP_LIMITS__MAPS, ..), and that above the file.\n\n\
+    Example:\n  ubbmap serve --listen 127.0.0.1:8080 --data /var/lib/ubbmap"
+)]
+pub(super) struct Serve {
+    /// Settings in TOML [default: $UBBMAP_CONFIG, or none]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<SocketAddr>,
+    /// Directory of the store [default: ubbmap-data]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Where maps are kept: sled, or memory, which forgets them at the end [default: sled]
+    #[arg(long, value_name = "KIND")]
+    store: Option<String>,
+    /// Level or filter of the log on stderr, such as warn or ubbmap=debug [default: info]
+    #[arg(long, value_name = "FILTER")]
+    log: Option<String>,
+    /// Allow an address beyond loopback although everyone who reaches it may read and change every map
+    #[arg(long)]
+    insecure: bool,
+}
+
+impl Serve {
+    /// Runs the command.
+    pub(super) fn run(self) -> Result<(), Failure> {
+        let config = self.settings()?;
+        telemetry::init(&config.log, config.log_format);
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+        let served = runtime.block_on(app::serve(config, |address| {
+            // Without a reader of the line the server serves all the same.
+            let _ = say(&format!("ubbmap listening on http://{address}"));
+        }));
+        match served {
+            Ok(()) => Ok(()),
+            Err(AppError::Config(error)) => Err(Failure::Configuration(error.to_string())),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn settings(&self) -> Result<Config, Failure> {
+        let mut overrides = Vec::new();
+        if let Some(listen) = self.listen {
+            overrides.push(("listen", listen.to_string()));
+        }
+        if let Some(data) = &self.data {
+            overrides.push(("data_dir", data.display().to_string()));
+        }
+        if let Some(store) = &self.store {
+            overrides.push(("store", store.clone()));
+        }
+        if let Some(log) = &self.log {
+            overrides.push(("log", log.clone()));
+        }
+        if self.insecure {
+            overrides.push(("insecure", "true".to_owned()));
+        }
+        let file = self.config.clone().or_else(|| std::env::var_os("UBBMAP_CONFIG").map(PathBuf::from));
+        // Variables that are not text cannot be settings of ours.
+        let environment = std::env::vars_os().filter_map(|(k, v)| Some((k.into_string().ok()?, v.into_string().ok()?)));
+        Config::load(file.as_deref(), environment, &overrides)
+            .map_err(|error| Failure::Configuration(error.to_string()))
+    }
+}
