@@ -169,38 +169,3 @@ fn a_split_node_of_one_class_is_refused() {
     assert!(codec.decode(&[0b1010_0010, 0b0010_0010, 0b0000_0000]).unwrap_err().0.contains("one class"));
     assert!(codec.decode(&[0b1010_0010, 0b0010_0010, 0b1000_0000]).is_ok());
 }
-
-/// Prints the times of a block about as full as those of a mapped building: run by hand with `--ignored --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-#[allow(clippy::print_stdout, reason = "prints what it measures")]
-fn time_of_a_block() {
-    let codec = BlockCodec::new(16, ClassScale::new(10).unwrap());
-    for split in [0.6, 0.7, 0.8, 0.9] {
-        let views: Vec<_> = (0..200)
-            .map(|seed| BlockView::Mixed(Arc::new(Block::from_leaves(random_block(seed, split, 6, 10)))))
-            .collect();
-        let rounds = 50;
-        let start = std::time::Instant::now();
-        let mut encoded = Vec::new();
-        for _ in 0..rounds {
-            encoded.clear();
-            for view in &views {
-                let mut bytes = Vec::with_capacity(1024);
-                codec.encode(view, &mut bytes).unwrap();
-                encoded.push(bytes);
-            }
-        }
-        let encode = start.elapsed().as_secs_f64() / f64::from(rounds) / 200.0;
-        let start = std::time::Instant::now();
-        let mut mixed = 0;
-        for _ in 0..rounds {
-            for bytes in &encoded {
-                mixed += usize::from(matches!(codec.decode(bytes).unwrap(), BlockView::Mixed(_)));
-            }
-        }
-        let decode = start.elapsed().as_secs_f64() / f64::from(rounds) / 200.0;
-        let size = encoded.iter().map(Vec::len).sum::<usize>() / 200;
-        println!("split {split}: {size} bytes, encode {:.2} us, decode {:.2} us, {mixed}", encode * 1e6, decode * 1e6);
-    }
-}
