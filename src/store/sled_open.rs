@@ -22,9 +22,12 @@ const DATABASE: &str = "sled";
 /// Its name while it is being made.
 const CREATING: &str = "sled.creating";
 
-/// How long to wait for the file lock of a database that was just closed: sled's own threads let go of it a little
-/// after its handle.
-const LOCK_PATIENCE: Duration = Duration::from_secs(5);
+/// How long to wait for the lock of a directory or database that was just closed: sled's own threads let go of its file
+/// a little after its handle, and a child process that was being started meanwhile a little after that.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+
+/// How long to wait before the next attempt.
+const LOCK_RETRY: Duration = Duration::from_millis(5);
 
 /// Settings of a store on disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -153,10 +156,17 @@ fn lock_directory(directory: &Path) -> Result<File, StoreError> {
         .write(true)
         .open(&path)
         .map_err(|source| io(&path, "opening", source))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(StoreError::Locked { directory: directory.display().to_string() }),
-        Err(TryLockError::Error(source)) => Err(io(&path, "locking", source)),
+    let deadline = Instant::now() + LOCK_PATIENCE;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            // A child process that is just being started holds what its parent had open until it becomes another program.
+            Err(TryLockError::WouldBlock) if Instant::now() < deadline => std::thread::sleep(LOCK_RETRY),
+            Err(TryLockError::WouldBlock) => {
+                return Err(StoreError::Locked { directory: directory.display().to_string() });
+            }
+            Err(TryLockError::Error(source)) => return Err(io(&path, "locking", source)),
+        }
     }
 }
 
@@ -214,7 +224,7 @@ fn open_database(path: &Path, options: SledOptions) -> Result<Database, StoreErr
                 if Instant::now() > deadline {
                     return Err(StoreError::Locked { directory: path.display().to_string() });
                 }
-                std::thread::sleep(Duration::from_millis(5));
+                std::thread::sleep(LOCK_RETRY);
             }
             Ok(Err(sled::Error::Io(source))) => return Err(io(path, "opening", source)),
             Ok(Err(error)) => return Err(damaged_database(path, &error.to_string())),

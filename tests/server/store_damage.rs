@@ -287,7 +287,8 @@ fn writes_that_sled_drops_in_silence_are_missed() {
                 if error.contains("acknowledged") {
                     missed += 1;
                     // It stays so until someone decides to go on with what is left.
-                    assert!(open(&path).unwrap_err().to_string().contains("remove the file"));
+                    let again = open(&path).unwrap_err().to_string();
+                    assert!(again.contains("remove the file"), "{again}");
                     std::fs::remove_file(path.join("acknowledged")).unwrap();
                     open(&path).unwrap().list().unwrap();
                 }

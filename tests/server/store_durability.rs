@@ -243,6 +243,26 @@ fn a_store_is_open_once() {
     open(&path).unwrap();
 }
 
+/// Between its start and its own program a child holds what its parent had open, locks too.
+#[test]
+fn a_child_that_was_being_started_kept_a_closed_store_locked() {
+    let directory = tempfile::tempdir().unwrap();
+    let done = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !done.load(Ordering::SeqCst) {
+                    assert!(std::process::Command::new("true").status().unwrap().success());
+                }
+            });
+        }
+        let refused: Vec<String> =
+            (0..200).filter_map(|_| open(directory.path()).err().map(|error| error.to_string())).collect();
+        done.store(true, Ordering::SeqCst);
+        assert_eq!(refused, Vec::<String>::new());
+    });
+}
+
 #[test]
 fn a_creation_that_was_cut_off_starts_again() {
     let directory = tempfile::tempdir().unwrap();
