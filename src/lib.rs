@@ -5,6 +5,7 @@
 //! | floor | module | what lives there |
 //! | --- | --- | --- |
 //! | 0 | [`interval`] | outward-rounded intervals, boxes, three-valued verdicts |
+//! | 0 | [`vector`] | functions compiled once for each set of vector instructions |
 //! | 1 | [`sensor`] | pose boxes, sensor models, validated scans, measurement sets |
 //! | 1 | [`quadtree`] | node addresses, blocks, the k-class occupancy quadtree |
 //! | 2 | [`mapping`] | the evidence of one scan, regions, guaranteed-free |
@@ -22,6 +23,7 @@ pub mod mapping;
 pub mod quadtree;
 pub mod sensor;
 pub mod simulation;
+pub mod vector;
 
 #[cfg(feature = "server")]
 pub mod app;

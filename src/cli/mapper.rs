@@ -6,11 +6,14 @@ use crate::sensor::Scan;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use rustix::time::{ClockId, clock_gettime};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Scans whose evidence is held at once: enough to keep every core busy, few enough to stay in cache.
 pub(super) const BATCH: usize = 256;
+
+/// Scans of a batch whose evidence is computed together.
+const STAGE: usize = 64;
 
 /// Builds a map from scans and measures the processor time that it takes.
 pub(super) struct Mapper {
@@ -43,20 +46,22 @@ impl Mapper {
     /// Adds scans in their order.
     pub(super) fn add(&mut self, scans: &[Scan]) {
         let before = processor_time();
-        // Nobody asks here which blocks changed.
-        let mut changed = Vec::new();
-        if let Some(pool) = &self.pool {
-            let (config, surveyors) = (&self.config, &self.surveyors);
-            let evidence: Vec<LeafMasks> =
-                pool.install(|| scans.par_iter().map(|scan| survey(surveyors, config, scan)).collect());
-            for masks in &evidence {
-                changed.clear();
-                self.tree.apply(masks, &mut changed);
-            }
+        let Self { config, tree, pool, surveyors, .. } = self;
+        if let Some(pool) = pool {
+            // While the evidence of one stage is computed, that of the stage before is applied.
+            pool.install(|| {
+                let mut before: Vec<LeafMasks> = Vec::new();
+                for stage in scans.chunks(STAGE) {
+                    let evidence = || stage.par_iter().map(|scan| survey(surveyors, config, scan)).collect();
+                    before = rayon::join(|| apply(tree, &before), evidence).1;
+                }
+                apply(tree, &before);
+            });
         } else {
+            let mut masks = LeafMasks::default();
             for scan in scans {
-                changed.clear();
-                self.tree.apply(&survey(&self.surveyors, &self.config, scan), &mut changed);
+                surveyor(surveyors).survey_into(config, scan, &mut masks);
+                apply(tree, std::slice::from_ref(&masks));
             }
         }
         self.busy += processor_time().saturating_sub(before);
@@ -90,10 +95,24 @@ impl Mapper {
     }
 }
 
+/// Nobody asks here which blocks changed.
+fn apply(tree: &mut OccupancyTree, evidence: &[LeafMasks]) {
+    let mut changed = Vec::new();
+    for masks in evidence {
+        changed.clear();
+        tree.apply(masks, &mut changed);
+    }
+}
+
 fn survey(surveyors: &[Mutex<Surveyor>], config: &MapConfig, scan: &Scan) -> LeafMasks {
+    surveyor(surveyors).survey(config, scan)
+}
+
+/// This thread's surveyor.
+fn surveyor(surveyors: &[Mutex<Surveyor>]) -> MutexGuard<'_, Surveyor> {
     let thread = rayon::current_thread_index().unwrap_or(0) % surveyors.len();
     // A surveyor is scratch memory, prepared anew for every scan: one left behind by a panic serves as well.
-    surveyors[thread].lock().unwrap_or_else(PoisonError::into_inner).survey(config, scan)
+    surveyors[thread].lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Processor time of this process so far, all its threads together.

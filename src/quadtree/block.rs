@@ -1,27 +1,11 @@
 //! A block: the lowest six levels of the tree.
 
 use super::{Class, ClassScale, RowMask};
+use crate::vector::{Path, on_each_path, step_rows};
 use std::fmt;
 
 /// Leaves of a block.
 const LEAVES: usize = 64 * 64;
-
-/// Bit `i` of a byte as byte `i`, 0 or 1: how a row's mask becomes one byte a leaf.
-static SPREAD: [[u8; 8]; 256] = spread_table();
-
-const fn spread_table() -> [[u8; 8]; 256] {
-    let mut table = [[0; 8]; 256];
-    let mut word = 0;
-    while word < 256 {
-        let mut bit = 0;
-        while bit < 8 {
-            table[word][bit] = (word >> bit) as u8 & 1;
-            bit += 1;
-        }
-        word += 1;
-    }
-    table
-}
 
 /// 64 x 64 leaf classes with the maxima of every node above them: 5,461 bytes.
 ///
@@ -69,15 +53,12 @@ impl Block {
     /// Adds 1 to the leaves in `occupied` and takes 1 from those in `empty`, held to the scale; a leaf in both counts
     /// as occupied. Returns whether a class changed.
     pub fn apply(&mut self, occupied: &RowMask, empty: &RowMask, scale: ClassScale) -> bool {
-        let mut changed = 0_u64;
-        let rows = self.leaves.as_chunks_mut::<64>().0;
-        for (y, row) in rows.iter_mut().enumerate() {
-            let (up, down) = (occupied[y], empty[y] & !occupied[y]);
-            if up | down != 0 && step_row(row, up, down, scale) {
-                changed |= 1 << y;
-            }
+        let path = Path::best();
+        let Some(rows) = self.leaves.as_chunks_mut::<64>().0.first_chunk_mut() else { return false };
+        let changed = step_rows(path, rows, occupied, empty, scale.free(), scale.occupied());
+        if changed != 0 {
+            raise_maxima(path, &mut self.maxima, &self.leaves, changed);
         }
-        self.maxima.update(&self.leaves, changed, Class::max);
         changed != 0
     }
 
@@ -99,11 +80,13 @@ impl Block {
     /// Whether [`Block::apply`] would change a class.
     #[must_use]
     pub fn would_change(&self, occupied: &RowMask, empty: &RowMask, scale: ClassScale) -> bool {
+        let (lowest, highest) = (scale.free(), scale.occupied());
+        let some = |row: &[Class; 64], mask: u64, limit: Class| {
+            // A byte a leaf: whether its class is not at the limit, and whether its bit is set.
+            row.iter().enumerate().any(|(x, class)| *class != limit && mask >> x & 1 == 1)
+        };
         self.rows().iter().zip(occupied.iter().zip(empty)).any(|(row, (up, down))| {
-            up | down != 0 && {
-                let mut copy = *row;
-                step_row(&mut copy, *up, down & !up, scale)
-            }
+            (*up != 0 && some(row, *up, highest)) || (down & !up != 0 && some(row, down & !up, lowest))
         })
     }
 
@@ -179,35 +162,6 @@ impl fmt::Debug for Block {
     }
 }
 
-/// Steps the leaves of one row; returns whether one changed. Plain loops over bytes, which compile to vector code.
-fn step_row(row: &mut [Class; 64], up: u64, down: u64, scale: ClassScale) -> bool {
-    let (lowest, highest) = (scale.free(), scale.occupied());
-    let before = *row;
-    if up != 0 {
-        for (class, add) in row.iter_mut().zip(&spread(up)) {
-            *class = class.saturating_add(*add).min(highest);
-        }
-    }
-    if down != 0 {
-        for (class, take) in row.iter_mut().zip(&spread(down)) {
-            *class = class.saturating_sub(*take).max(lowest);
-        }
-    }
-    before.iter().zip(&*row).fold(0, |differs, (old, new)| differs | (old ^ new)) != 0
-}
-
-/// One byte a bit, 0 or 1.
-fn spread(mask: u64) -> [u8; 64] {
-    if mask == u64::MAX {
-        return [1; 64];
-    }
-    let mut bytes = [0; 64];
-    for (eight, word) in bytes.as_chunks_mut::<8>().0.iter_mut().zip(mask.to_le_bytes()) {
-        *eight = SPREAD[usize::from(word)];
-    }
-    bytes
-}
-
 impl Levels {
     fn filled(class: Class) -> Self {
         Self {
@@ -228,10 +182,8 @@ impl Levels {
     }
 
     /// Brings the values above the leaf rows of the bit set `rows` up to date.
+    #[inline(always)]
     fn update(&mut self, leaves: &[Class; LEAVES], rows: u64, pick: impl Fn(Class, Class) -> Class + Copy) {
-        if rows == 0 {
-            return;
-        }
         let rows = halve(leaves.as_chunks::<64>().0, &mut self.five, rows, pick);
         let rows = halve(&self.five, &mut self.four, rows, pick);
         let rows = halve(&self.four, &mut self.three, rows, pick);
@@ -269,8 +221,16 @@ impl Levels {
     }
 }
 
+on_each_path! {
+    /// Brings the maxima above the leaf rows of the bit set `rows` up to date.
+    fn raise_maxima(maxima: &mut Levels, leaves: &[Class; LEAVES], rows: u64) {
+        maxima.update(leaves, rows, |a, b| if a > b { a } else { b });
+    }
+}
+
 /// One level up: every node of `above` whose row lies over one of `rows` picks from its four children; returns the rows
 /// of `above` that were done.
+#[inline(always)]
 fn halve<const FINE: usize, const COARSE: usize>(
     below: &[[Class; FINE]],
     above: &mut [[Class; COARSE]; COARSE],
@@ -287,8 +247,10 @@ fn halve<const FINE: usize, const COARSE: usize>(
         for (a, b) in merged.iter_mut().zip(pair[1]) {
             *a = pick(*a, b);
         }
-        for (value, [left, right]) in target.iter_mut().zip(merged.as_chunks::<2>().0) {
-            *value = pick(*left, *right);
+        for (value, pair) in target.iter_mut().zip(merged.as_chunks::<2>().0) {
+            // As one number of 16 bits, which vectors split faster than two bytes side by side.
+            let pair = u16::from_le_bytes(*pair);
+            *value = pick(pair as Class, (pair >> 8) as Class);
         }
     }
     done

@@ -3,6 +3,7 @@
 use super::measurement::swept;
 use super::{PoseBox, ScanError, SensorModel};
 use crate::interval::{Box2, Interval};
+use crate::vector::{Path, on_each_path};
 
 /// Largest absolute mirror angle accepted, radians.
 pub const MAX_ANGLE: f64 = 1e3;
@@ -161,6 +162,17 @@ impl Scan {
         counts
     }
 
+    /// How far from the sensor its beams say something, metres, rounded up: the largest `d+` of a return, or how far a beam
+    /// without one is free. 0 where no beam says anything.
+    #[must_use]
+    pub fn farthest(&self) -> f64 {
+        let spec = self.sensor.spec();
+        let (largest, none) = farthest(Path::best(), &self.spec.ranges, spec.range_min as f32, spec.range_max as f32);
+        let returns = if largest > 0.0 { self.sensor.range_interval(largest).1 } else { 0.0 };
+        let free_to = self.sensor.no_return_free_to().filter(|_| none).unwrap_or(0.0);
+        returns.max(free_to)
+    }
+
     /// Where the sensor can have been in the map frame, metres: a tight enclosure of
     /// `(x + x_s cos(theta) - y_s sin(theta), y + x_s sin(theta) + y_s cos(theta))` over the pose box.
     ///
@@ -168,6 +180,9 @@ impl Scan {
     #[must_use]
     pub fn origins(&self) -> Box2 {
         let mount = self.sensor.spec().mount;
+        if mount.x == 0.0 && mount.y == 0.0 {
+            return self.pose().position();
+        }
         let arc = swept(self.pose().theta(), Box2::point(mount.x, mount.y));
         Box2::new(self.pose().x() + arc.x, self.pose().y() + arc.y)
     }
@@ -192,6 +207,20 @@ impl Scan {
         }
         let (near, far) = self.sensor.range_interval(range);
         Reading::Return { near, far }
+    }
+}
+
+on_each_path! {
+    /// The largest range that is a return, 0 where none is, and whether some beam had no return.
+    fn farthest(ranges: &[f32], range_min: f32, range_max: f32) -> (f32, bool) {
+        let (mut largest, mut nones) = (0_u32, 0_u32);
+        for range in ranges {
+            // The bits of positive floats are in their order.
+            let returned = (*range > 0.0) & (*range >= range_min) & (*range < range_max);
+            largest = largest.max(if returned { range.to_bits() } else { 0 });
+            nones |= u32::from(*range >= range_max);
+        }
+        (f32::from_bits(largest), nones != 0)
     }
 }
 

@@ -18,3 +18,4 @@ mod rules_support;
 mod sensor_model;
 mod sensor_scan;
 mod tidy;
+mod vector;

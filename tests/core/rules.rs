@@ -7,7 +7,7 @@
 )]
 
 use crate::regions_exact::Dice;
-use crate::rules_support::{Case, Tally, survey};
+use crate::rules_support::{Case, Tally, survey, survey_wide};
 use std::f64::consts::{PI, TAU};
 use ubbmap::mapping::EvidenceRule;
 use ubbmap::mapping::reference::pointwise_rho;
@@ -249,6 +249,20 @@ fn guaranteed_proves_what_the_rule_for_whole_boxes_proves_and_nothing_that_is_no
     }
     let plain: usize = tallies.iter().map(|(_, t)| t.expected).sum();
     assert!(plain > 20_000, "{tallies:?}");
+}
+
+#[test]
+fn scans_too_wide_for_a_dense_window_keep_to_the_rules_too() {
+    let tallies = over_all(|_, case, dice| {
+        let leaves = survey_wide(case.grid, EvidenceRule::Guaranteed, case.width, case.scan);
+        let mut tally = case.check_occupied(&leaves, 10, dice);
+        tally.add(case.check_guaranteed(&leaves, 8, true, dice));
+        tally
+    });
+    for (family, tally) in &tallies {
+        assert!(tally.found as f64 >= 0.99 * tally.expected as f64, "{family:?}: {tally:?}");
+    }
+    assert!(tallies.iter().all(|(_, t)| t.points > 1_000 && t.occupied > 50), "{tallies:?}");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use ubbmap::mapping::reference::{Pose, Reference};
 use ubbmap::mapping::{EvidenceRule, MapConfig, Surveyor};
 use ubbmap::quadtree::{BlockMasks, ClassScale, Grid, LeafMasks, LeafRange, NodeAddress, RowMask};
 use ubbmap::sensor::{Scan, SensorModel};
+use ubbmap::vector::Path;
 
 /// The share of a leaf by which the engine's sets may reach beyond the exact ones.
 const SLACK: f64 = 1.0 / 1024.0;
@@ -72,9 +73,20 @@ pub fn config(grid: Grid, rule: EvidenceRule, width: f64, sensor: &SensorModel) 
     MapConfig::new(grid, ClassScale::new(10).unwrap(), rule, width, sensors).unwrap()
 }
 
+/// The sets of a scan, the same on every path.
 pub fn survey(grid: Grid, rule: EvidenceRule, width: f64, scan: &Scan) -> Leaves {
-    let masks = Surveyor::new().survey(&config(grid, rule, width, scan.sensor()), scan);
+    let config = config(grid, rule, width, scan.sensor());
+    let masks = Surveyor::new().survey(&config, scan);
+    for path in Path::all() {
+        assert_eq!(Surveyor::on(path).survey(&config, scan), masks, "{path} differs: {scan:?}");
+    }
     Leaves::new(&masks, grid.depth())
+}
+
+/// The sets of a scan as one that reaches too far for a dense window has them.
+pub fn survey_wide(grid: Grid, rule: EvidenceRule, width: f64, scan: &Scan) -> Leaves {
+    let config = config(grid, rule, width, scan.sensor());
+    Leaves::new(&Surveyor::without_dense_windows().survey(&config, scan), grid.depth())
 }
 
 fn grown(leaf: Box2, margin: f64) -> Box2 {
@@ -105,6 +117,16 @@ impl Tally {
         self.found += other.found;
         self.points += other.points;
     }
+}
+
+/// Leaves proven by different provers.
+#[derive(Debug, Default, Clone, Copy)]
+pub struct Proven {
+    pub engine: usize,
+    /// The rule for whole boxes with one range, and with a range for each bracket.
+    pub one_range: usize,
+    pub whole_boxes: usize,
+    pub by_points: usize,
 }
 
 /// One scan on one grid, with its reference.
@@ -239,6 +261,35 @@ impl<'a> Case<'a> {
             }
         }
         tally
+    }
+
+    /// How much is proven beside what could be: the leaves of X_EMP `guaranteed`, those that the rule for whole boxes proves (in
+    /// its simpler form and as it is), and those that a prover by points would, of which `draws` points at drawn poses are all free. Leaves of X_OCC count for
+    /// none.
+    pub fn proven(&self, leaves: &Leaves, draws: usize, dice: &mut Dice) -> Proven {
+        let mut proven = Proven::default();
+        let simpler = Reference::new(self.scan, self.width).with_one_range();
+        for leaf in self.leaves_about() {
+            if leaves.occupied(leaf) {
+                continue;
+            }
+            let square = self.grid.node_box(leaf);
+            let free = self.is_free(self.reference.middle_pose(), (square.x.mid(), square.y.mid()), square);
+            proven.engine += usize::from(leaves.empty(leaf));
+            proven.one_range += usize::from(free && simpler.proves(&square));
+            proven.whole_boxes += usize::from(free && self.reference.proves(&square));
+            proven.by_points += usize::from(leaves.empty(leaf) || (free && self.seems_free(square, draws, dice)));
+        }
+        proven
+    }
+
+    fn seems_free(&self, square: Box2, draws: usize, dice: &mut Dice) -> bool {
+        (0..draws).all(|_| {
+            let pose = self.reference.draw_pose(&mut || dice.real(0.0, 1.0));
+            let mut along = |i: Interval| dice.pick(&[i.lo(), i.hi(), dice.clone().real(i.lo(), i.hi())]);
+            let point = (along(square.x), along(square.y));
+            self.reference.is_point_free(pose, point)
+        })
     }
 
     fn is_free(&self, pose: Pose, point: (f64, f64), square: Box2) -> bool {

@@ -2,8 +2,10 @@
 
 use crate::oracle::{Tally, leaf_square};
 use crate::scenario::{FAMILIES, Family, Scenario};
-use ubbmap::mapping::{Fault, Surveyor};
+use ubbmap::mapping::{Fault, MapConfig, Surveyor};
 use ubbmap::sensor::{Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
+use ubbmap::simulation::World;
+use ubbmap::vector::Path;
 
 /// What a scan is surveyed with.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,14 +78,20 @@ impl Planted {
     }
 }
 
-/// Surveys one scene and counts its pairs; returns the leaves that were wrongly called empty.
-fn check(scenario: &Scenario, planted: Planted, surveyor: &mut Surveyor, tally: &mut Tally) -> Vec<(u32, u32)> {
-    let world = scenario.world();
-    let (mut spec, mut sensor, mut width) = (scenario.scan_spec(&world), scenario.sensor, scenario.width);
+/// The scan of a scene as the engine is told of it.
+fn scan_of(scenario: &Scenario, world: &World, planted: Planted) -> (MapConfig, Scan) {
+    let (mut spec, mut sensor, mut width) = (scenario.scan_spec(world), scenario.sensor, scenario.width);
     planted.claim(scenario, &mut spec, &mut sensor, &mut width);
     let config = scenario.config(&sensor, width);
     let model = SensorModel::new(sensor).unwrap_or_else(|e| panic!("{e}: {scenario:?}"));
     let scan = Scan::new(spec, model, &ScanLimits::default()).unwrap_or_else(|e| panic!("{e}: {scenario:?}"));
+    (config, scan)
+}
+
+/// Surveys one scene and counts its pairs; returns the leaves that were wrongly called empty.
+fn check(scenario: &Scenario, planted: Planted, surveyor: &mut Surveyor, tally: &mut Tally) -> Vec<(u32, u32)> {
+    let world = scenario.world();
+    let (config, scan) = scan_of(scenario, &world, planted);
     let masks = surveyor.survey(&config, &scan);
     let (from, _) = scenario.motion.start.sensor(&scenario.sensor);
     let reach = scenario.sensor.range_max + scenario.sensor.range_error_plus;
@@ -125,10 +133,40 @@ fn describe(scenario: &Scenario, planted: Planted) {
     }
 }
 
+/// The engine's other ways to draw a scan: the machine's other paths, which must compute the same sets, and windows of any size,
+/// which must be sound too.
+struct OtherWays {
+    paths: Vec<(Path, Surveyor)>,
+    wide: Surveyor,
+    tally: Tally,
+}
+
+impl OtherWays {
+    fn new() -> Self {
+        let paths = Path::all().into_iter().map(|path| (path, Surveyor::on(path))).collect();
+        Self { paths, wide: Surveyor::without_dense_windows(), tally: Tally::default() }
+    }
+
+    fn check(&mut self, scenario: &Scenario) {
+        let (config, scan) = scan_of(scenario, &scenario.world(), Planted::Nothing);
+        let mut first = None;
+        for (path, surveyor) in &mut self.paths {
+            let masks = surveyor.survey(&config, &scan);
+            match &first {
+                None => first = Some(masks),
+                Some(first) => assert_eq!(masks, *first, "{path} differs in {:?}:{}", scenario.family, scenario.seed),
+            }
+        }
+        let wrong = check(scenario, Planted::Nothing, &mut self.wide, &mut self.tally);
+        assert!(wrong.is_empty(), "on a window of any size {wrong:?} of {:?}:{}", scenario.family, scenario.seed);
+    }
+}
+
 /// Checks scenes of a family until there are `pairs` pairs (or, with something planted, a violation).
 fn run(family: Family, pairs: u64, planted: Planted) -> Tally {
     let mut surveyor = planted.surveyor();
     let mut tally = Tally::default();
+    let mut others = OtherWays::new();
     let mut shown = 0;
     for seed in crate::base_seed().. {
         if tally.pairs >= pairs || (planted != Planted::Nothing && tally.violations > 0) {
@@ -136,6 +174,9 @@ fn run(family: Family, pairs: u64, planted: Planted) -> Tally {
         }
         let scenario = Scenario::generate(family, seed);
         let wrong = check(&scenario, planted, &mut surveyor, &mut tally);
+        if planted == Planted::Nothing {
+            others.check(&scenario);
+        }
         if !wrong.is_empty() && planted == Planted::Nothing && shown < 3 {
             shown += 1;
             describe(&scenario, planted);

@@ -1,20 +1,10 @@
-//! The canvas on which a scan's leaf sets are drawn: one bit a leaf and plane, in tiles aligned with the map's blocks.
+//! A window of any size, in tiles aligned with the map's blocks that come into being when something is drawn on them: for
+//! scans that reach beyond a dense window ([`super::window`]).
 
+use super::sheet::{BOUNDARY, FILLED, OCCUPIED, Plane, Sheet, TILE_SHIFT, TOGGLE, fill};
 use crate::quadtree::{BLOCK_SIDE, BlockAddress, BlockMasks, LeafMasks, RowMask};
 
-/// A plane of the canvas.
-pub(super) type Plane = usize;
-/// Leaves of X_OCC.
-pub(super) const OCCUPIED: Plane = 0;
-/// Leaves that the dilated boundary of the free star may touch.
-pub(super) const BOUNDARY: Plane = 1;
-/// Where the parity "inside the free star" changes along a row.
-pub(super) const TOGGLE: Plane = 2;
-/// Leaves that are empty for another reason: cones of the paper's rules, the robot's footprint.
-pub(super) const FILLED: Plane = 3;
-
 const NO_TILE: u32 = u32::MAX;
-const TILE_SHIFT: i32 = 6;
 
 /// 64 x 64 leaves, word `y`, bit `x`, of every plane.
 #[derive(Debug, Clone)]
@@ -62,54 +52,6 @@ impl Canvas {
         &mut self.tiles[*slot as usize]
     }
 
-    /// Sets the leaves `first..=last` of a row, in window coordinates; what lies outside the window is left out.
-    pub(super) fn span<const PLANE: Plane>(&mut self, row: i32, first: i32, last: i32) {
-        let first = first.max(0);
-        let last = last.min((self.size.0 << TILE_SHIFT) - 1);
-        if row < 0 || row >= self.size.1 << TILE_SHIFT || first > last {
-            return;
-        }
-        let (tile_y, y) = (row >> TILE_SHIFT, (row & 63) as usize);
-        for tile_x in first >> TILE_SHIFT..=last >> TILE_SHIFT {
-            let left = tile_x << TILE_SHIFT;
-            let from = (first - left).max(0);
-            let to = (last - left).min(63);
-            let mask = (u64::MAX >> (63 - (to - from))) << from;
-            self.tile(tile_x, tile_y).planes[PLANE][y] |= mask;
-        }
-    }
-
-    /// Flips "inside" for the leaf `column` of a row and all behind it.
-    pub(super) fn toggle(&mut self, row: i32, column: i32) {
-        let width = self.size.0 << TILE_SHIFT;
-        if row < 0 || row >= self.size.1 << TILE_SHIFT || column >= width {
-            return;
-        }
-        let column = column.max(0);
-        let tile = self.tile(column >> TILE_SHIFT, row >> TILE_SHIFT);
-        tile.planes[TOGGLE][(row & 63) as usize] ^= 1 << (column & 63);
-    }
-
-    /// Adds the leaves inside the star and off its boundary to [`FILLED`], and blanks the star's two planes.
-    pub(super) fn keep_star(&mut self) {
-        for tile_y in 0..self.size.1 {
-            let mut carry = [0u64; 64];
-            for tile_x in 0..self.size.0 {
-                let slot = self.slots[(tile_y * self.size.0 + tile_x) as usize];
-                if slot == NO_TILE && carry.iter().all(|word| *word == 0) {
-                    continue;
-                }
-                let tile = self.tile(tile_x, tile_y);
-                let inside = fill(&tile.planes[TOGGLE], &mut carry);
-                for (y, word) in inside.iter().enumerate() {
-                    tile.planes[FILLED][y] |= word & !tile.planes[BOUNDARY][y];
-                }
-                tile.planes[BOUNDARY] = [0; 64];
-                tile.planes[TOGGLE] = [0; 64];
-            }
-        }
-    }
-
     /// The leaf sets drawn, held to a root of `2^depth` leaves a side.
     pub(super) fn masks(&self, depth: u8) -> LeafMasks {
         let root_side = 1i64 << depth;
@@ -139,22 +81,51 @@ impl Canvas {
     }
 }
 
-/// The leaves inside, from the toggles of a tile and the parity that its left neighbour hands over, row by row.
-fn fill(toggle: &RowMask, carry: &mut RowMask) -> RowMask {
-    let mut inside = [0; 64];
-    for y in 0..64 {
-        let mut word = toggle[y];
-        word ^= word << 1;
-        word ^= word << 2;
-        word ^= word << 4;
-        word ^= word << 8;
-        word ^= word << 16;
-        word ^= word << 32;
-        inside[y] = word ^ carry[y];
-        // The last leaf's parity, spread over a word.
-        carry[y] = ((inside[y] as i64) >> 63) as u64;
+impl Sheet for Canvas {
+    fn span<const PLANE: Plane>(&mut self, row: i32, first: i32, last: i32) {
+        let first = first.max(0);
+        let last = last.min((self.size.0 << TILE_SHIFT) - 1);
+        if row < 0 || row >= self.size.1 << TILE_SHIFT || first > last {
+            return;
+        }
+        let (tile_y, y) = (row >> TILE_SHIFT, (row & 63) as usize);
+        for tile_x in first >> TILE_SHIFT..=last >> TILE_SHIFT {
+            let left = tile_x << TILE_SHIFT;
+            let from = (first - left).max(0);
+            let to = (last - left).min(63);
+            let mask = (u64::MAX >> (63 - (to - from))) << from;
+            self.tile(tile_x, tile_y).planes[PLANE][y] |= mask;
+        }
     }
-    inside
+
+    fn toggle(&mut self, row: i32, column: i32) {
+        let width = self.size.0 << TILE_SHIFT;
+        if row < 0 || row >= self.size.1 << TILE_SHIFT || column >= width {
+            return;
+        }
+        let column = column.max(0);
+        let tile = self.tile(column >> TILE_SHIFT, row >> TILE_SHIFT);
+        tile.planes[TOGGLE][(row & 63) as usize] ^= 1 << (column & 63);
+    }
+
+    fn keep_star(&mut self) {
+        for tile_y in 0..self.size.1 {
+            let mut carry = [0u64; 64];
+            for tile_x in 0..self.size.0 {
+                let slot = self.slots[(tile_y * self.size.0 + tile_x) as usize];
+                if slot == NO_TILE && carry.iter().all(|word| *word == 0) {
+                    continue;
+                }
+                let tile = self.tile(tile_x, tile_y);
+                let inside = fill(&tile.planes[TOGGLE], &mut carry);
+                for (y, word) in inside.iter().enumerate() {
+                    tile.planes[FILLED][y] |= word & !tile.planes[BOUNDARY][y];
+                }
+                tile.planes[BOUNDARY] = [0; 64];
+                tile.planes[TOGGLE] = [0; 64];
+            }
+        }
+    }
 }
 
 fn tile_masks(planes: Option<&[RowMask; 4]>, carry: &mut RowMask, valid: u64) -> Option<BlockMasks> {

@@ -11,9 +11,10 @@
 //!
 //! A heading within `+-delta` turns the cone about the sensor by as much.
 
-use super::canvas::{Canvas, FILLED, OCCUPIED};
+use super::directions;
 use super::frame::Frame;
 use super::raster::{Both, Disc, Point, Quad, TurnedRectangle, cover, inscribe};
+use super::sheet::{FILLED, OCCUPIED, Sheet};
 use crate::sensor::SensorModel;
 
 /// Openings above have their measurement set held to the paper's natural extension as well: the rectangle about a wide
@@ -22,6 +23,13 @@ const WIDE_OPENING: f64 = 0.05;
 
 /// A cone is drawn without its round end where that adds less than this, leaves.
 const NEGLIGIBLE: f64 = 1.0 / 4096.0;
+
+/// Sines and cosines that stay from scan to scan.
+#[derive(Debug, Default)]
+pub(super) struct ConeTrig {
+    opening: directions::Turn,
+    turn: directions::Turn,
+}
 
 /// What all beams of a scan have in common.
 #[derive(Debug, Clone, Copy)]
@@ -44,26 +52,48 @@ pub(super) struct Cones {
 }
 
 impl Cones {
-    pub(super) fn new(frame: &Frame, sensor: &SensorModel) -> Self {
+    pub(super) fn new(frame: &Frame, sensor: &SensorModel, trig: &mut ConeTrig) -> Self {
         let spec = sensor.spec();
         let half_opening = 0.5 * spec.beam_opening;
-        let (sin, cos) = (core_math::sin(half_opening), core_math::cos(half_opening));
+        let (sin, cos) = trig.opening.sin_cos(half_opening);
         let radius = 0.5 * spec.beam_diameter * frame.scale;
         let turn = (frame.heading.1 + spec.beam_angle_error).min(std::f64::consts::PI);
+        let (sin_turn, cos_turn) = trig.turn.sin_cos(turn);
         Self {
             sin,
             cos,
             half_opening,
-            rim: (radius * cos, radius * cos * core_math::tan(0.5 * half_opening)),
+            // tan(x / 2) = sin x / (1 + cos x)
+            rim: (radius * cos, radius * cos * sin / (1.0 + cos)),
             apex: (sin > 0.0).then(|| radius * cos / sin),
             turn,
-            sin_turn: if turn < std::f64::consts::FRAC_PI_2 { core_math::sin(turn) } else { 1.0 },
-            cos_turn: core_math::cos(turn),
+            sin_turn: if turn < std::f64::consts::FRAC_PI_2 { sin_turn } else { 1.0 },
+            cos_turn,
             origin: frame.origin,
             dilation: frame.dilation(),
             slack: frame.slack,
             scale: frame.scale,
         }
+    }
+
+    /// Sine and cosine of half the opening.
+    pub(super) fn opening(&self) -> (f64, f64) {
+        (self.sin, self.cos)
+    }
+
+    /// Sine and cosine of the half width of a beam's direction.
+    pub(super) fn turn(&self) -> (f64, f64) {
+        (self.sin_turn, self.cos_turn)
+    }
+
+    /// Half width at the emitter and how far the rim lies behind, leaves.
+    pub(super) fn rim(&self) -> (f64, f64) {
+        self.rim
+    }
+
+    /// True when measurement sets are held to the natural extension of (6) too.
+    pub(super) fn is_wide(&self) -> bool {
+        2.0 * self.half_opening > WIDE_OPENING
     }
 
     /// Half width of the unturned cone at distance `d`, leaves.
@@ -77,7 +107,7 @@ impl Cones {
 
     /// Draws the measurement set of a return within `[near, far]` metres along `unit` into X_OCC: the rectangle about the
     /// cone's part, widened by the turn, held to the axis-parallel hull of the turned rectangle.
-    pub(super) fn measurement(&self, canvas: &mut Canvas, unit: Point, near: f64, far: f64) {
+    pub(super) fn measurement(&self, sheet: &mut impl Sheet, unit: Point, near: f64, far: f64) {
         let (near, far) = (near * self.scale, far * self.scale);
         let width = self.half_width(far);
         let low = near * self.cos - self.rim.1;
@@ -90,13 +120,13 @@ impl Cones {
         let (min, max) = self.hull(unit, low, (near, far), width);
         let center = (self.origin.0 + unit.0 * middle, self.origin.1 + unit.1 * middle);
         let shape = TurnedRectangle::new(center, unit, (along, aside), min, max);
-        cover::<OCCUPIED>(canvas, &shape, self.dilation);
+        cover::<OCCUPIED>(sheet, &shape, self.dilation);
     }
 
     /// An axis-parallel box about the measurement set over all headings: min and max corner.
     fn hull(&self, unit: Point, low: f64, (near, far): Point, width: f64) -> (Point, Point) {
         let mut hull = Hull::default();
-        if let (true, Some(apex)) = (2.0 * self.half_opening > WIDE_OPENING, self.apex) {
+        if let (true, Some(apex)) = (self.is_wide(), self.apex) {
             // (6) with every angle for itself: (d + delta_d) u(a + phi) - delta_d u(a + phi_i).
             let wide = Turn::new(self.turn + self.half_opening);
             let mut cone = Hull::default();
@@ -119,22 +149,22 @@ impl Cones {
     }
 
     /// Draws the leaves that the empty cone up to `near` metres may touch: (9) and (12).
-    pub(super) fn outer(&self, canvas: &mut Canvas, unit: Point, near: f64) {
+    pub(super) fn outer(&self, sheet: &mut impl Sheet, unit: Point, near: f64) {
         let near = near * self.scale;
         let wedge = self.wedge(unit, near, -self.rim.1 - self.rim.0 * self.sin_turn);
         match self.round_end(unit, near) {
-            Some(end) => cover::<FILLED>(canvas, &Both(wedge, end), self.dilation),
-            None => cover::<FILLED>(canvas, &wedge, self.dilation),
+            Some(end) => cover::<FILLED>(sheet, &Both(wedge, end), self.dilation),
+            None => cover::<FILLED>(sheet, &wedge, self.dilation),
         }
     }
 
     /// Draws the leaves all of whose corners pass the test of the empty cone up to `near` metres: (10) and (11).
-    pub(super) fn inner(&self, canvas: &mut Canvas, unit: Point, near: f64) {
+    pub(super) fn inner(&self, sheet: &mut impl Sheet, unit: Point, near: f64) {
         let near = near * self.scale;
         let wedge = self.wedge(unit, near, 0.0);
         match self.round_end(unit, near) {
-            Some(end) => inscribe::<FILLED>(canvas, &Both(wedge, end), self.dilation, 2.0 * self.slack),
-            None => inscribe::<FILLED>(canvas, &wedge, self.dilation, 2.0 * self.slack),
+            Some(end) => inscribe::<FILLED>(sheet, &Both(wedge, end), self.dilation, 2.0 * self.slack),
+            None => inscribe::<FILLED>(sheet, &wedge, self.dilation, 2.0 * self.slack),
         }
     }
 
@@ -289,7 +319,7 @@ pub(super) struct Footprint {
 
 impl Footprint {
     /// Draws the leaves whose farthest point from every position is nearer than the radius.
-    pub(super) fn draw(&self, canvas: &mut Canvas, slack: f64) {
+    pub(super) fn draw(&self, sheet: &mut impl Sheet, slack: f64) {
         let radius = self.radius - slack;
         let top = self.center.1 + radius;
         for row in super::raster::floor(self.center.1 - radius)..=super::raster::floor(top) {
@@ -302,7 +332,7 @@ impl Footprint {
             let far_x = (radius * radius - far_y * far_y).sqrt() - self.half.0 - slack;
             let first = (self.center.0 - far_x).ceil() as i32;
             let last = super::raster::floor(self.center.0 + far_x) - 1;
-            canvas.span::<FILLED>(row, first, last);
+            sheet.span::<FILLED>(row, first, last);
         }
     }
 }

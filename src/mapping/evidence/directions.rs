@@ -3,6 +3,44 @@
 use crate::sensor::{Angles, Scan};
 use std::f64::consts::TAU;
 
+/// An angle's sine and cosine, kept while the angle stays: a correctly rounded function takes as long as some beams do.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Turn {
+    angle: f64,
+    /// `(sin, cos)`
+    of: (f64, f64),
+}
+
+impl Default for Turn {
+    fn default() -> Self {
+        Self { angle: 0.0, of: (0.0, 1.0) }
+    }
+}
+
+impl Turn {
+    /// `(sin, cos)` of an angle, radians.
+    pub(super) fn sin_cos(&mut self, angle: f64) -> (f64, f64) {
+        if angle != self.angle {
+            *self = Self { angle, of: (core_math::sin(angle), core_math::cos(angle)) };
+        }
+        self.of
+    }
+}
+
+/// A ring of even steps closes when the step over its seam differs by no more than this, radians.
+const SEAM: f64 = 1e-6;
+
+/// Beams at even steps, no two of them at one angle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Even {
+    /// Radians between neighbours.
+    pub step: f64,
+    /// True when the last and the first beam are neighbours like any other two.
+    pub ring: bool,
+    /// How much the step over the seam of a ring differs from the others, radians.
+    pub seam_error: f64,
+}
+
 /// Order, angles and unit vectors of a scan's beams.
 #[derive(Debug, Default)]
 pub(super) struct Directions {
@@ -13,6 +51,10 @@ pub(super) struct Directions {
     angles: Vec<f64>,
     /// `(cos, sin)` of the angle by position, each correctly rounded.
     units: Vec<(f64, f64)>,
+    /// The same in single precision, and behind the last position the first again.
+    pub(super) cos: Vec<f32>,
+    pub(super) sin: Vec<f32>,
+    even: Option<Even>,
 }
 
 impl Directions {
@@ -35,6 +77,9 @@ impl Directions {
         self.angles.extend(self.order.iter().map(|beam| on_ring(*beam)));
         self.units.clear();
         self.units.extend(self.angles.iter().map(|angle| (core_math::cos(*angle), core_math::sin(*angle))));
+        let round = self.units.iter().chain(self.units.first());
+        (self.cos, self.sin) = round.map(|(cos, sin)| (*cos as f32, *sin as f32)).unzip();
+        self.even = even(&scan.spec().angles, beams);
         self.of = Some((scan.spec().angles.clone(), beams));
     }
 
@@ -52,4 +97,30 @@ impl Directions {
     pub(super) fn unit(&self, position: usize) -> (f64, f64) {
         self.units[position]
     }
+
+    /// The even steps of the beams; `None` where they are uneven or two beams share an angle.
+    pub(super) fn even(&self) -> Option<Even> {
+        self.even
+    }
+
+    /// Brings ranges given in firing order into ascending angle.
+    pub(super) fn sort(&self, ranges: &[f32], sorted: &mut Vec<f32>) {
+        sorted.clear();
+        match self.order.first() {
+            Some(0) if self.even.is_some() => sorted.extend_from_slice(ranges),
+            _ => sorted.extend(self.order.iter().map(|beam| ranges[*beam as usize])),
+        }
+    }
+}
+
+fn even(angles: &Angles, beams: usize) -> Option<Even> {
+    let Angles::Uniform { increment, .. } = angles else { return None };
+    let step = increment.abs();
+    let seam = TAU - (beams - 1) as f64 * step;
+    if beams < 2 || seam < step - SEAM {
+        return None;
+    }
+    let seam_error = (seam - step).abs();
+    let ring = seam_error <= SEAM;
+    Some(Even { step, ring, seam_error: if ring { seam_error } else { 0.0 } })
 }

@@ -1,5 +1,6 @@
 //! From metres in the map frame to window coordinates in leaves, and the slack that floating point needs.
 
+use super::outline::Place;
 use super::raster::Point;
 use crate::interval::Interval;
 use crate::quadtree::{BLOCK_SIDE, Grid};
@@ -13,6 +14,13 @@ use crate::sensor::Scan;
 /// off by at most 2^-42 rad (see [`super::star`]), which moves a vertex by at most 2^14 * 2^-42 = 2^-28. An edge's x is found
 /// for a y that is off by 2^-34. Together below 2^-27; 2^-20 leaves a factor of 128.
 const WINDOW_SLACK: f64 = 1.0 / (1 << 20) as f64;
+
+/// Tiles along one side of a dense window.
+const DENSE_TILES: i32 = super::window::TILES as i32;
+
+/// Farther from the sensor's middle nothing may be drawn on a dense window, leaves: half its side less the sensor's tile and
+/// the rows that are written together.
+const DENSE_REACH: f64 = (super::window::SIDE / 2 - 64 - 16) as f64;
 
 /// The window of one scan: where it lies and where the sensor's origin may be in it.
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +39,12 @@ pub(super) struct Frame {
     pub scale: f64,
     /// Heading of the sensor: middle and half width (rounded up), radians.
     pub heading: (f64, f64),
+    /// Sine and cosine of the middle.
+    pub turn: (f64, f64),
+    /// How far from the sensor's origin the scan can say something, leaves.
+    pub reach: f64,
+    /// True when the window is a dense one.
+    pub dense: bool,
     corner: (f64, f64),
 }
 
@@ -40,8 +54,13 @@ impl Frame {
         let origins = scan.origins();
         let scale = grid.resolution().recip();
         let (origin_x, origin_y) = grid.origin();
-        let x = axis(origins.x, origin_x, grid.resolution(), reach);
-        let y = axis(origins.y, origin_y, grid.resolution(), reach);
+        let mut x = axis(origins.x, origin_x, grid.resolution(), reach);
+        let mut y = axis(origins.y, origin_y, grid.resolution(), reach);
+        let dense = x.around.max(y.around) <= DENSE_REACH;
+        if dense {
+            x.widen();
+            y.widen();
+        }
         let heading = scan.headings();
         Self {
             base: (x.base, y.base),
@@ -50,11 +69,45 @@ impl Frame {
             spread: (x.half, y.half),
             slack: grid.cell_slack() + WINDOW_SLACK,
             scale,
+            reach: reach * scale,
+            dense,
             heading: (heading.mid(), heading.radius()),
+            turn: (core_math::sin(heading.mid()), core_math::cos(heading.mid())),
             corner: (
                 origin_x + (x.base * i64::from(BLOCK_SIDE)) as f64 * grid.resolution(),
                 origin_y + (y.base * i64::from(BLOCK_SIDE)) as f64 * grid.resolution(),
             ),
+        }
+    }
+
+    /// How far from the sensor's middle anything is drawn, leaves.
+    pub(super) fn around(&self) -> f64 {
+        self.reach + self.spread.0.max(self.spread.1) + 2.0
+    }
+
+    /// Bound of the rounding of single precision, leaves: see [`super::outline`].
+    ///
+    /// With `u = 2^-24` and `R` the reach, all in leaves: a unit vector's part is off by 3.5 u (its own rounding, that of the
+    /// heading's direction, two products and a sum), `rho` by 7 u R (the scaled range, its error, the product and sum of the
+    /// rule), so a vertex by 13 u R with its product and the sum with the sensor's place; the dilation and `floor` add 2 u R.
+    /// Where the x of an edge or side is found for a y, that y is off by as much as the vertex and 8 u R more. Leaving out
+    /// narrow pieces (`NEGLIGIBLE` in [`super::sectors`]) is no rounding: it moves no vertex outward. Together 24 u R; taken is
+    /// 32 u (R + 2) = 2^-19 (R + 2).
+    pub(super) fn rounding(&self) -> f64 {
+        (self.reach + 2.0) / f64::from(1 << 19)
+    }
+
+    /// Where the sensor stands in a dense window, and the dilation of what is drawn about it in single precision.
+    pub(super) fn place(&self) -> Place {
+        let corner = (self.origin.0.floor(), self.origin.1.floor());
+        let dilation = self.dilation();
+        Place {
+            x: (self.origin.0 - corner.0) as f32,
+            y: (self.origin.1 - corner.1) as f32,
+            column: corner.0 as i32,
+            row: corner.1 as i32,
+            dx: (dilation.0 + self.rounding()) as f32,
+            dy: (dilation.1 + self.rounding()) as f32,
         }
     }
 
@@ -76,6 +129,19 @@ struct Axis {
     tiles: i32,
     center: f64,
     half: f64,
+    /// How far from the middle anything is drawn, leaves.
+    around: f64,
+}
+
+impl Axis {
+    /// Puts the middle into the middle tile of a dense window.
+    fn widen(&mut self) {
+        let sensor = self.base + (self.center / f64::from(BLOCK_SIDE)).floor() as i64;
+        let base = sensor - i64::from(DENSE_TILES / 2);
+        self.center += ((self.base - base) * i64::from(BLOCK_SIDE)) as f64;
+        self.base = base;
+        self.tiles = DENSE_TILES;
+    }
 }
 
 fn axis(origins: Interval, corner: f64, resolution: f64, reach: f64) -> Axis {
@@ -85,5 +151,5 @@ fn axis(origins: Interval, corner: f64, resolution: f64, reach: f64) -> Axis {
     let side = f64::from(BLOCK_SIDE);
     let first = ((center - around) / side).floor();
     let last = ((center + around) / side).floor();
-    Axis { base: first as i64, tiles: (last - first) as i32 + 1, center: center - first * side, half }
+    Axis { base: first as i64, tiles: (last - first) as i32 + 1, center: center - first * side, half, around }
 }

@@ -7,24 +7,34 @@
 
 mod canvas;
 mod cones;
+mod dense;
 mod directions;
+mod edges;
 mod envelope;
 mod frame;
+mod outline;
 mod polygon;
 mod raster;
+mod returns;
+mod sectors;
+mod sheet;
 mod star;
+mod window;
 
 use super::config::MAX_REACH_CELLS;
 use super::{EvidenceRule, MapConfig};
 use crate::interval::{Box2, Interval};
 use crate::quadtree::LeafMasks;
 use crate::sensor::{Reading, Scan};
-use canvas::{BOUNDARY, Canvas};
-use cones::{Cones, Footprint};
+use crate::vector::Path;
+use canvas::Canvas;
+use cones::{ConeTrig, Cones, Footprint};
+use dense::{Dense, StarSpec};
 use directions::Directions;
 use envelope::Envelope;
 use frame::Frame;
 use raster::{Disc, cover};
+use sheet::{BOUNDARY, Sheet};
 use star::Star;
 
 /// Distances from the sensor, beyond the obstacle width, behind which points are shown when the sensor moves along
@@ -54,21 +64,46 @@ pub enum Fault {
 /// Computes the evidence of scans; holds scratch memory and tables, so keep one a thread and use it again.
 #[derive(Debug, Default)]
 pub struct Surveyor {
+    path: Path,
+    dense: Dense,
     canvas: Canvas,
-    directions: Directions,
+    scratch: Scratch,
     /// What the beams say, in ascending angle.
     readings: Vec<Reading>,
+    directions: Directions,
+    fault: Fault,
+    /// Never a dense window.
+    wide: bool,
+}
+
+/// Stars of scans of any kind, in double precision.
+#[derive(Debug, Default)]
+struct Scratch {
     star: Star,
     envelope: Envelope,
     vertices: polygon::Vertices,
-    fault: Fault,
+    trig: ConeTrig,
 }
 
 impl Surveyor {
-    /// A surveyor with no scratch memory yet.
+    /// A surveyor with no scratch memory yet, on the machine's fastest path.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// A surveyor on a path of this machine. All paths compute the same sets.
+    #[must_use]
+    pub fn on(path: Path) -> Self {
+        Self { path, ..Self::default() }
+    }
+
+    /// A surveyor that draws every scan on a window of any size, as it does those that reach beyond a dense one: so that tests
+    /// need no scans of thousands of leaves.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn without_dense_windows() -> Self {
+        Self { wide: true, ..Self::default() }
     }
 
     /// A surveyor with a planted fault, for tests only.
@@ -81,73 +116,156 @@ impl Surveyor {
     /// The leaf sets X_OCC (7) and X_EMP of a scan by the map's evidence rule, held to the root, `X_EMP := X_EMP \ X_OCC`.
     /// Does not look at a map: the same configuration and scan give the same sets.
     pub fn survey(&mut self, config: &MapConfig, scan: &Scan) -> LeafMasks {
+        let mut masks = LeafMasks::default();
+        self.survey_into(config, scan, &mut masks);
+        masks
+    }
+
+    /// As [`Surveyor::survey`], into masks that are no longer wanted, whose memory is used again.
+    pub fn survey_into(&mut self, config: &MapConfig, scan: &Scan, masks: &mut LeafMasks) {
+        self.dense.window.recycle(masks);
         self.directions.prepare(scan);
-        self.readings.clear();
-        self.readings.extend((0..scan.beams()).map(|position| scan.reading(self.directions.beam(position))));
-        let reach = reach(config, scan, self.readings.iter().copied());
+        let reach = reach(config, scan);
         if !meets_root(config, scan, reach) {
-            return LeafMasks::default();
+            return;
         }
         let frame = Frame::new(config.grid(), scan, reach);
-        self.canvas.begin(frame.base, frame.size);
-        if config.rule() == EvidenceRule::Guaranteed {
-            self.draw_free(config, scan, &frame);
+        let depth = config.grid().depth();
+        let moving = sensor_translation(scan) > 0.0;
+        if self.wide || !frame.dense {
+            self.read(scan);
+            self.canvas.begin(frame.base, frame.size);
+            let Self { canvas, scratch, readings, directions, fault, .. } = self;
+            let mut drawing = Drawing { sheet: canvas, scratch, readings, directions, fault: *fault };
+            drawing.draw(config, scan, &frame);
+            *masks = self.canvas.masks(depth);
+            return;
         }
-        self.draw_beams(config.rule(), scan, &frame);
-        self.canvas.masks(config.grid().depth())
+        self.dense.window.begin(frame.base, frame.around());
+        if moving || config.rule() != EvidenceRule::Guaranteed {
+            self.read(scan);
+            let Self { dense, scratch, readings, directions, fault, .. } = self;
+            let mut drawing = Drawing { sheet: &mut dense.window, scratch, readings, directions, fault: *fault };
+            drawing.draw(config, scan, &frame);
+        } else {
+            self.draw_dense(config, scan, &frame);
+        }
+        self.dense.window.emit(self.path, depth, masks);
     }
 
     /// True when the scan can say something about some leaf of the map: false when all that it can reach is outside
     /// the root.
     #[must_use]
     pub fn reaches(config: &MapConfig, scan: &Scan) -> bool {
-        meets_root(config, scan, reach(config, scan, (0..scan.beams()).map(|beam| scan.reading(beam))))
+        meets_root(config, scan, reach(config, scan))
+    }
+
+    fn read(&mut self, scan: &Scan) {
+        self.readings.clear();
+        self.readings.extend((0..scan.beams()).map(|position| scan.reading(self.directions.beam(position))));
+    }
+
+    /// Draws the evidence of the rule `guaranteed` in vectors, for a sensor that turns about itself at most.
+    fn draw_dense(&mut self, config: &MapConfig, scan: &Scan, frame: &Frame) {
+        self.dense.read(self.path, scan, &self.directions, frame);
+        let of_star = self.fault.of_frame(frame);
+        let half_width = of_star.heading.1 + scan.sensor().spec().beam_angle_error;
+        let even = self.directions.even().filter(|_| self.fault.is_in_frame() && scan.spec().sweep_rotation == 0.0);
+        let drawn = even.is_some_and(|even| {
+            let spec = StarSpec { even, min_obstacle_width: config.min_obstacle_width(), half_width };
+            self.dense.draw_even_star(self.path, scan, &self.directions, &of_star, &spec)
+        });
+        if !drawn {
+            self.read(scan);
+            let Scratch { star, envelope, vertices, .. } = &mut self.scratch;
+            star.build(scan, &self.readings, &self.directions, config.min_obstacle_width(), 0.0, self.fault);
+            envelope.build(&star.brackets, half_width, 0.0);
+            self.dense.draw_star(self.path, vertices, &of_star, &self.directions, envelope, half_width);
+        }
+        draw_footprint(&mut self.dense.window, scan, frame);
+        let cones = Cones::new(frame, scan.sensor(), &mut self.scratch.trig);
+        let (sin, cos) = frame.turn;
+        let directions = &self.directions;
+        let alone = |window: &mut window::Window, position: usize| {
+            let (x, y) = directions.unit(position);
+            if let Reading::Return { near, far } = scan.reading(directions.beam(position)) {
+                cones.measurement(window, (cos * x - sin * y, sin * x + cos * y), near, far);
+            }
+        };
+        self.dense.draw_returns(self.path, &cones, frame, alone);
+    }
+}
+
+impl Fault {
+    /// True when the fault, if there is one, lies in the frame alone.
+    fn is_in_frame(self) -> bool {
+        matches!(self, Self::None | Self::HeadingMidpoint | Self::PositionMidpoint)
+    }
+
+    /// The frame that the star is drawn in.
+    fn of_frame(self, frame: &Frame) -> Frame {
+        let mut frame = *frame;
+        match self {
+            Self::HeadingMidpoint => frame.heading.1 = 0.0,
+            Self::PositionMidpoint => frame.spread = (0.0, 0.0),
+            _ => {}
+        }
+        frame
+    }
+}
+
+/// One scan drawn row by row in double precision, on any sheet.
+struct Drawing<'a, S> {
+    sheet: &'a mut S,
+    scratch: &'a mut Scratch,
+    readings: &'a [Reading],
+    directions: &'a Directions,
+    fault: Fault,
+}
+
+impl<S: Sheet> Drawing<'_, S> {
+    fn draw(&mut self, config: &MapConfig, scan: &Scan, frame: &Frame) {
+        if config.rule() == EvidenceRule::Guaranteed {
+            self.draw_free(config, scan, frame);
+        }
+        self.draw_beams(config.rule(), scan, frame);
     }
 
     /// Draws the free star (model section 4) and the robot's footprint.
     fn draw_free(&mut self, config: &MapConfig, scan: &Scan, frame: &Frame) {
-        let spec = scan.spec();
         if sensor_translation(scan) > 0.0 {
             for behind in NEAREST {
                 let nearest = config.min_obstacle_width() + behind;
                 self.draw_star(config, scan, frame, nearest);
                 let disc = Disc { center: frame.origin, radius: nearest * frame.scale };
-                cover::<BOUNDARY>(&mut self.canvas, &disc, frame.dilation());
-                self.canvas.keep_star();
+                cover::<BOUNDARY>(self.sheet, &disc, frame.dilation());
+                self.sheet.keep_star();
             }
         } else {
             self.draw_star(config, scan, frame, 0.0);
         }
-        if spec.footprint_radius > 0.0 {
-            let (center, half) = frame.locate(scan.pose().x(), scan.pose().y());
-            let radius = (spec.footprint_radius * frame.scale).min(MAX_REACH_CELLS);
-            Footprint { center, half, radius }.draw(&mut self.canvas, 2.0 * frame.slack);
-        }
+        draw_footprint(self.sheet, scan, frame);
     }
 
     fn draw_star(&mut self, config: &MapConfig, scan: &Scan, frame: &Frame, nearest: f64) {
-        let mut frame = *frame;
-        match self.fault {
-            Fault::HeadingMidpoint => frame.heading.1 = 0.0,
-            Fault::PositionMidpoint => frame.spread = (0.0, 0.0),
-            _ => {}
-        }
-        self.star.build(scan, &self.readings, &self.directions, config.min_obstacle_width(), nearest, self.fault);
+        let frame = self.fault.of_frame(frame);
+        let Scratch { star, envelope, vertices, .. } = &mut *self.scratch;
+        star.build(scan, self.readings, self.directions, config.min_obstacle_width(), nearest, self.fault);
         let half_width = frame.heading.1 + scan.sensor().spec().beam_angle_error;
-        self.envelope.build(&self.star.brackets, half_width, sensor_translation(scan));
-        self.vertices.draw(&mut self.canvas, &frame, &self.directions, &self.envelope.pieces, half_width);
+        envelope.build(&star.brackets, half_width, sensor_translation(scan));
+        vertices.draw(self.sheet, &frame, self.directions, &envelope.pieces, half_width);
     }
 
     /// Draws what single beams say: X_OCC, and the cones of the paper's rules.
     fn draw_beams(&mut self, rule: EvidenceRule, scan: &Scan, frame: &Frame) {
-        let cones = Cones::new(frame, scan.sensor());
-        let (sin, cos) = (core_math::sin(frame.heading.0), core_math::cos(frame.heading.0));
+        let cones = Cones::new(frame, scan.sensor(), &mut self.scratch.trig);
+        let (sin, cos) = frame.turn;
         for position in 0..scan.beams() {
             let (x, y) = self.directions.unit(position);
             let unit = (cos * x - sin * y, sin * x + cos * y);
             let near = match self.readings[position] {
                 Reading::Return { near, far } => {
-                    cones.measurement(&mut self.canvas, unit, near, far);
+                    cones.measurement(self.sheet, unit, near, far);
                     near
                 }
                 Reading::NoReturn => match scan.sensor().no_return_free_to() {
@@ -159,10 +277,19 @@ impl Surveyor {
             match rule {
                 _ if near <= 0.0 => {}
                 EvidenceRule::Guaranteed => {}
-                EvidenceRule::Outer => cones.outer(&mut self.canvas, unit, near),
-                EvidenceRule::Inner => cones.inner(&mut self.canvas, unit, near),
+                EvidenceRule::Outer => cones.outer(self.sheet, unit, near),
+                EvidenceRule::Inner => cones.inner(self.sheet, unit, near),
             }
         }
+    }
+}
+
+fn draw_footprint(sheet: &mut impl Sheet, scan: &Scan, frame: &Frame) {
+    let spec = scan.spec();
+    if spec.footprint_radius > 0.0 {
+        let (center, half) = frame.locate(scan.pose().x(), scan.pose().y());
+        let radius = (spec.footprint_radius * frame.scale).min(MAX_REACH_CELLS);
+        Footprint { center, half, radius }.draw(sheet, 2.0 * frame.slack);
     }
 }
 
@@ -182,15 +309,10 @@ fn sensor_translation(scan: &Scan) -> f64 {
 
 /// How far from the sensor's origin a scan can say something, metres: the farthest point of a measurement set, with its
 /// width and the turn of the heading, or the footprint about the robot.
-fn reach(config: &MapConfig, scan: &Scan, readings: impl Iterator<Item = Reading>) -> f64 {
+fn reach(config: &MapConfig, scan: &Scan) -> f64 {
     let sensor = scan.sensor().spec();
-    let farthest = readings.map(|reading| match reading {
-        Reading::Return { far, .. } => far,
-        Reading::NoReturn => scan.sensor().no_return_free_to().unwrap_or(0.0),
-        Reading::Failed => 0.0,
-    });
     // Half width at most d sin(phi_b / 2) + w_b / 2, once more turned aside: below 2 d + w_b beyond d.
-    let beams = farthest.fold(0.0, f64::max);
+    let beams = scan.farthest();
     let wide = 0.5 * sensor.beam_opening + scan.headings().radius() + sensor.beam_angle_error;
     let aside = 2.0 * beams * core_math::sin(wide.min(std::f64::consts::FRAC_PI_2)) + sensor.beam_diameter;
     let mount = sensor.mount.x.hypot(sensor.mount.y);

@@ -4,7 +4,7 @@
 //! [row, row + 1]`. "Dilated by `(x, y)`" is the Minkowski sum with the box `[-x, x] x [-y, y]`: the set of all positions
 //! that the sensor's origin may have, plus the slack of the floating-point arithmetic (see [`super::frame`]).
 
-use super::canvas::{BOUNDARY, Canvas, Plane};
+use super::sheet::{BOUNDARY, Plane, Sheet};
 
 /// A point or vector in window coordinates, leaves.
 pub(super) type Point = (f64, f64);
@@ -27,7 +27,7 @@ pub(super) fn floor(v: f64) -> i32 {
 /// Marks the leaves that the dilated edge `from`-`to` touches, and flips the parity of the rows whose centre line it
 /// crosses at the first marked leaf of that row. An unmarked leaf of the row lies wholly to one side of the marked span,
 /// so the parity counts the crossings on its left exactly.
-pub(super) fn edge(canvas: &mut Canvas, from: Point, to: Point, dilation: Point) {
+pub(super) fn edge(sheet: &mut impl Sheet, from: Point, to: Point, dilation: Point) {
     let (low, high) = if from.1 <= to.1 { (from, to) } else { (to, from) };
     let (rise, run) = (high.1 - low.1, high.0 - low.0);
     let first_row = floor(low.1 - dilation.1);
@@ -37,8 +37,8 @@ pub(super) fn edge(canvas: &mut Canvas, from: Point, to: Point, dilation: Point)
     if rise < FLAT || (rise < SHORT && run.abs() < SHORT) {
         let (first, last) = (floor(left - dilation.0), floor(right + dilation.0));
         for row in first_row..=last_row {
-            canvas.span::<BOUNDARY>(row, first, last);
-            flip(canvas, low.1, high.1, row, first);
+            sheet.span::<BOUNDARY>(row, first, last);
+            flip(sheet, low.1, high.1, row, first);
         }
         return;
     }
@@ -51,15 +51,15 @@ pub(super) fn edge(canvas: &mut Canvas, from: Point, to: Point, dilation: Point)
         let (a, b) = (at(bottom), at(top));
         let first = floor(a.min(b) - dilation.0);
         let last = floor(a.max(b) + dilation.0);
-        canvas.span::<BOUNDARY>(row, first, last);
-        flip(canvas, low.1, high.1, row, first);
+        sheet.span::<BOUNDARY>(row, first, last);
+        flip(sheet, low.1, high.1, row, first);
     }
 }
 
-fn flip(canvas: &mut Canvas, low: f64, high: f64, row: i32, column: i32) {
+fn flip(sheet: &mut impl Sheet, low: f64, high: f64, row: i32, column: i32) {
     let center = f64::from(row) + 0.5;
     if (low < center) != (high < center) {
-        canvas.toggle(row, column);
+        sheet.toggle(row, column);
     }
 }
 
@@ -74,19 +74,19 @@ pub(super) trait Convex {
 }
 
 /// Sets the leaves that the dilated shape touches.
-pub(super) fn cover<const PLANE: Plane>(canvas: &mut Canvas, shape: &impl Convex, dilation: Point) {
+pub(super) fn cover<const PLANE: Plane>(sheet: &mut impl Sheet, shape: &impl Convex, dilation: Point) {
     let (low, high) = shape.extent_y();
     for row in floor(low - dilation.1)..=floor(high + dilation.1) {
         let bottom = (f64::from(row) - dilation.1).max(low);
         let top = (f64::from(row) + 1.0 + dilation.1).min(high);
         if let Some((left, right)) = shape.extent_x(bottom.min(top), top) {
-            canvas.span::<PLANE>(row, floor(left - dilation.0), floor(right + dilation.0));
+            sheet.span::<PLANE>(row, floor(left - dilation.0), floor(right + dilation.0));
         }
     }
 }
 
 /// Sets the leaves all of whose corners lie in the dilated shape, less `slack` leaves on every side.
-pub(super) fn inscribe<const PLANE: Plane>(canvas: &mut Canvas, shape: &impl Convex, dilation: Point, slack: f64) {
+pub(super) fn inscribe<const PLANE: Plane>(sheet: &mut impl Sheet, shape: &impl Convex, dilation: Point, slack: f64) {
     let (low, high) = shape.extent_y();
     // Along a line y the dilated shape reaches from the smallest to the largest x over the band y +- dilation.
     let line = |row: i32| -> Option<(f64, f64)> {
@@ -113,7 +113,7 @@ pub(super) fn inscribe<const PLANE: Plane>(canvas: &mut Canvas, shape: &impl Con
         if let (Some((left_below, right_below)), Some((left, right))) = (below, here) {
             let first = left_below.max(left).ceil() as i32;
             let last = floor(right_below.min(right)) - 1;
-            canvas.span::<PLANE>(row - 1, first, last);
+            sheet.span::<PLANE>(row - 1, first, last);
         }
         below = here;
     }

@@ -19,7 +19,7 @@ use crate::sensor::{Reading, Scan};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 
 /// lambda of assumption A4.
-const LAMBDA: f64 = FRAC_1_SQRT_2;
+pub(super) const LAMBDA: f64 = FRAC_1_SQRT_2;
 
 /// Slack on `kappa`, times `1 + tan(phi_b / 2)`, since it may change as fast as that with the angle; and, relative to the
 /// distances, on `rho`. Angles are at most 1e3 rad, so an angle `min + i * increment`
@@ -197,15 +197,7 @@ impl Rule {
     fn rho(&mut self, gap: f64, m: f64) -> f64 {
         // Equal steps differ by rounding alone, which the slack on kappa covers.
         if (self.last.0 - gap).abs() > SAME_GAP {
-            let half = 0.5 * gap;
-            // Just past pi/2 by rounding is pi/2: sine and cosine change by less than the slack.
-            let kappa = if half <= FRAC_PI_2 * (1.0 + 1e-15) {
-                let (sin, cos) = (core_math::sin(half), core_math::cos(half));
-                sin - cos * self.tan_half_opening + SLACK * (1.0 + self.tan_half_opening)
-            } else {
-                f64::INFINITY
-            };
-            self.last = (gap, kappa);
+            self.last = (gap, kappa(gap, self.tan_half_opening));
         }
         let kappa = self.last.1;
         if kappa == f64::INFINITY || m <= 0.0 {
@@ -225,4 +217,16 @@ impl Rule {
         }
         (rho - SLACK * m).max(0.0)
     }
+}
+
+/// `kappa` of condition 2 for a gap between two axes (radians), rounded up; infinite beyond half a turn. `tan_half_opening`
+/// is `tan(phi_b / 2)`, rounded down.
+pub(super) fn kappa(gap: f64, tan_half_opening: f64) -> f64 {
+    let half = 0.5 * gap;
+    // Just past pi/2 by rounding is pi/2: sine and cosine change by less than the slack.
+    if half > FRAC_PI_2 * (1.0 + 1e-15) {
+        return f64::INFINITY;
+    }
+    let (sin, cos) = (core_math::sin(half), core_math::cos(half));
+    sin - cos * tan_half_opening + SLACK * (1.0 + tan_half_opening)
 }

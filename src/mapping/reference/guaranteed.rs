@@ -92,7 +92,10 @@ impl Reference<'_> {
             return false;
         }
         let window = Interval::spanning(self.angle(j) - widened, self.angle(j) + step + widened) + self.headings();
-        let Some(r) = farthest_in_window(d, window) else { return true };
+        let Some(mut r) = farthest_in_window(d, window) else { return true };
+        if self.one_range {
+            r = d.x.magnitude().hypot(d.y.magnitude());
+        }
         let kappa = h.sin() - h.cos() * (0.5 * spec.beam_opening).tan();
         let disc = if 2.0 * r * kappa <= spec.beam_diameter {
             0.0

@@ -56,6 +56,8 @@ pub struct Reference<'a> {
     rays: Vec<Ray>,
     /// The first beam of the bracket with the largest motion; `None` without beams.
     most_moved: Option<usize>,
+    /// Condition 2 with one `r` for all brackets of a box.
+    one_range: bool,
 }
 
 impl<'a> Reference<'a> {
@@ -69,11 +71,17 @@ impl<'a> Reference<'a> {
             })
             .collect();
         rays.sort_by(|a, b| a.angle.total_cmp(&b.angle));
-        let mut reference = Self { scan, min_obstacle_width, rays, most_moved: None };
+        let mut reference = Self { scan, min_obstacle_width, rays, most_moved: None, one_range: false };
         let count = reference.rays.len();
         let share = |j: &usize| reference.share(&reference.rays[*j], &reference.rays[(j + 1) % count], j + 1 == count);
         reference.most_moved = (0..count).max_by(|a, b| share(a).total_cmp(&share(b)));
         reference
+    }
+
+    /// The rule for whole boxes in its simpler form: `r` of condition 2 is the largest distance of `D` in every bracket.
+    #[must_use]
+    pub fn with_one_range(self) -> Self {
+        Self { one_range: true, ..self }
     }
 
     /// `d_i-` and true for a return, `F` and false for a beam without one; `None` for a beam that says nothing.
