@@ -2,9 +2,10 @@
 
 use super::Region;
 use super::outside::{self, Overhang};
-use super::region::{Cover, Probe, Segment, Shape};
+use super::region::{Cover, Lens, Probe, Segment, Shape, smallest_node};
 use crate::interval::Box2;
-use crate::quadtree::{Class, Grid, LeafRange, NodeAddress, OccupancyTree};
+use crate::quadtree::{BlockSlot, Class, Descent, Grid, LeafRange, NodeAddress, OccupancyTree, Tree};
+use std::cell::Cell;
 
 /// Why a region is not guaranteed free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -54,23 +55,38 @@ pub struct FreeAnswer {
 /// outside.
 #[must_use]
 pub fn guaranteed_free(tree: &OccupancyTree, grid: &Grid, region: &Region, tolerance: u8) -> FreeAnswer {
+    let Ok(answer) = try_guaranteed_free(tree, grid, region, tolerance);
+    answer
+}
+
+/// [`guaranteed_free`] in a map whose blocks may have to be fetched; only those are that the maxima above them do not
+/// answer for.
+///
+/// # Errors
+/// When such a block cannot be read.
+pub fn try_guaranteed_free<S: BlockSlot>(
+    tree: &Tree<S>,
+    grid: &Grid,
+    region: &Region,
+    tolerance: u8,
+) -> Result<FreeAnswer, S::Error> {
     let unknown = tree.scale().unknown();
     // 0 where no class is low enough: classes start at 1.
     let limit = unknown.saturating_sub(1).saturating_sub(tolerance);
     let query = Query { tree, grid, unknown };
     let overhang = outside::overhang(region, grid);
-    let inside = query.largest_class(region);
+    let inside = query.largest_class(region)?;
     let max_class = if overhang.is_some() { inside.max(unknown) } else { inside };
     if max_class <= limit {
-        return FreeAnswer { free: true, max_class, refusal: None };
+        return Ok(FreeAnswer { free: true, max_class, refusal: None });
     }
     let witness = match region.shape() {
-        Shape::Path { pieces, radius } => query.first_along(pieces, *radius, limit),
-        _ if inside == max_class => query.first_of_class(region, max_class),
+        Shape::Path { pieces, radius } => query.first_along(pieces, *radius, limit)?,
+        _ if inside == max_class => query.first_of_class(region, max_class)?,
         _ => overhang.map(|overhang| query.outer_witness(overhang, None)),
     };
     let refusal = witness.map(|witness| (reason(witness.class, unknown), witness));
-    FreeAnswer { free: false, max_class, refusal }
+    Ok(FreeAnswer { free: false, max_class, refusal })
 }
 
 fn reason(class: Class, unknown: Class) -> Reason {
@@ -81,160 +97,162 @@ fn reason(class: Class, unknown: Class) -> Reason {
     }
 }
 
+/// How far along a piece a leaf is touched, metres, the leaf and its class.
+type Touch = (f64, NodeAddress, Class);
+
 /// A map as it is asked.
-struct Query<'a> {
-    tree: &'a OccupancyTree,
+struct Query<'a, S: BlockSlot> {
+    tree: &'a Tree<S>,
     grid: &'a Grid,
     unknown: Class,
 }
 
-/// How a walk goes on from a node.
-enum Next {
-    /// Not below this node.
-    Skip,
-    /// Into its children.
-    Into,
-    /// Nowhere: the walk ends.
-    Stop,
+/// How the nodes that a region meets are found.
+enum Sieve<'a> {
+    /// Nearly always.
+    Quick(Lens<'a>),
+    /// By exact boxes, for what no lens is made for: polygons and regions far from the root.
+    Exact(Probe<'a>, Box2),
 }
 
-/// A walk over the nodes that meet a region, each before its children, in Z-order.
-///
-/// It begins at the smallest node that holds the region. Of each node the place among whole cells is asked first, then
-/// its maximum class, and only then the geometry.
-struct Walk<'a, 'p, W, V> {
-    query: &'a Query<'a>,
-    range: LeafRange,
-    /// Depth of the node at which it began.
-    base: u8,
-    probe: &'a mut Probe<'p>,
-    /// Is anything wanted below a node of this maximum class?
-    wanted: W,
-    visit: V,
-}
+impl<'a> Sieve<'a> {
+    fn new(region: &'a Region, grid: &'a Grid) -> Self {
+        match Lens::new(region, grid) {
+            Some(lens) => Self::Quick(lens),
+            None => Self::Exact(Probe::new(region), region.bounds()),
+        }
+    }
 
-impl<W: Fn(Class) -> bool, V: FnMut(NodeAddress, Class, Cover) -> Next> Walk<'_, '_, W, V> {
-    /// Walks a node and what is below; false when the walk was stopped.
-    fn node(&mut self, node: NodeAddress) -> bool {
-        let levels = self.query.tree.depth() - node.depth;
-        if !overlaps(&self.range, node, levels) {
-            return true;
-        }
-        let max = self.query.tree.max_class(node);
-        if !(self.wanted)(max) {
-            return true;
-        }
-        let square = self.query.grid.node_box(node);
-        let next = match self.probe.classify(node.depth - self.base, &square, levels == 0) {
-            Cover::Apart => Next::Skip,
-            cover => (self.visit)(node, max, cover),
-        };
-        match next {
-            Next::Skip => true,
-            Next::Stop => false,
-            Next::Into => {
-                levels == 0
-                    || [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().all(|(x, y)| {
-                        self.node(NodeAddress { depth: node.depth + 1, x: node.x << 1 | x, y: node.y << 1 | y })
-                    })
-            }
+    fn capsule(piece: &'a [Segment; 1], radius: f64, grid: &'a Grid) -> Self {
+        match Lens::capsule(piece, radius, grid) {
+            Some(lens) => Self::Quick(lens),
+            None => Self::Exact(Probe::capsule(piece, radius), Region::capsule(&piece[0], radius)),
         }
     }
 }
 
-impl Query<'_> {
-    /// Walks the nodes that may hold a leaf that meets a region with these bounds.
+impl<S: BlockSlot> Query<'_, S> {
+    /// Visits the nodes that meet a region, each before its children, in Z-order, where anything is `wanted` of their
+    /// maximum class; for a path once for each of its parts.
+    ///
+    /// It begins at the smallest node that holds the region. Of each node the class is asked before the geometry.
     fn walk(
         &self,
-        bounds: &Box2,
-        probe: &mut Probe<'_>,
+        sieve: Sieve<'_>,
         wanted: impl Fn(Class) -> bool,
-        visit: impl FnMut(NodeAddress, Class, Cover) -> Next,
-    ) {
-        let (range, _) = self.grid.leaves_meeting(bounds);
-        if range.is_empty() {
-            return;
+        mut visit: impl FnMut(NodeAddress, Class, Cover) -> Descent,
+    ) -> Result<(), S::Error> {
+        match sieve {
+            Sieve::Quick(mut lens) => {
+                for part in 0..lens.parts() {
+                    let Some(top) = lens.turn_to(part) else { continue };
+                    let ran_through = self.tree.search(top, &mut |node, max| {
+                        if !wanted(max) {
+                            return Descent::Skip;
+                        }
+                        match lens.classify(node) {
+                            Cover::Apart => Descent::Skip,
+                            cover => visit(node, max, cover),
+                        }
+                    })?;
+                    if !ran_through {
+                        break;
+                    }
+                }
+            }
+            Sieve::Exact(mut probe, bounds) => {
+                let (range, _) = self.grid.leaves_meeting(&bounds);
+                if range.is_empty() {
+                    return Ok(());
+                }
+                let (first, last) = ([range.min_x, range.min_y], [range.max_x - 1, range.max_y - 1]);
+                let top = smallest_node(self.tree.depth(), first, last);
+                self.tree.search(top, &mut |node, max| {
+                    let levels = self.tree.depth() - node.depth;
+                    if !wanted(max) || !overlaps(&range, node, levels) {
+                        return Descent::Skip;
+                    }
+                    let square = self.grid.node_box(node);
+                    match probe.classify(node.depth - top.depth, &square, levels == 0) {
+                        Cover::Apart => Descent::Skip,
+                        cover => visit(node, max, cover),
+                    }
+                })?;
+            }
         }
-        let (last_x, last_y) = (range.max_x - 1, range.max_y - 1);
-        let differing = (range.min_x ^ last_x) | (range.min_y ^ last_y);
-        let levels = u32::BITS - differing.leading_zeros();
-        let base = self.tree.depth().saturating_sub(levels as u8);
-        let top = NodeAddress { depth: base, x: range.min_x >> levels, y: range.min_y >> levels };
-        Walk { query: self, range, base, probe, wanted, visit }.node(top);
+        Ok(())
     }
 
     /// The largest class of the leaves that meet a region; 0 when none does.
-    fn largest_class(&self, region: &Region) -> Class {
-        let largest = std::cell::Cell::new(0);
+    fn largest_class(&self, region: &Region) -> Result<Class, S::Error> {
+        let largest = Cell::new(0);
         let top = self.tree.scale().occupied();
         let visit = |_: NodeAddress, max: Class, cover: Cover| {
             if cover == Cover::Some {
-                return Next::Into;
+                return Descent::Into;
             }
             largest.set(max);
-            if max >= top { Next::Stop } else { Next::Skip }
+            if max >= top { Descent::Stop } else { Descent::Skip }
         };
-        self.walk(&region.bounds(), &mut Probe::new(region), |max| max > largest.get(), visit);
-        largest.get()
+        self.walk(Sieve::new(region, self.grid), |max| max > largest.get(), visit)?;
+        Ok(largest.get())
     }
 
     /// The first leaf in Z-order of a class that meets a region, where none of a larger class does.
-    fn first_of_class(&self, region: &Region, class: Class) -> Option<Witness> {
+    fn first_of_class(&self, region: &Region, class: Class) -> Result<Option<Witness>, S::Error> {
         let mut found = None;
         let visit = |node: NodeAddress, max: Class, _: Cover| {
             if node.depth < self.tree.depth() {
-                return Next::Into;
+                return Descent::Into;
             }
             found = Some(self.inner_witness(node, max, None));
-            Next::Stop
+            Descent::Stop
         };
-        self.walk(&region.bounds(), &mut Probe::new(region), |max| max >= class, visit);
-        found
+        self.walk(Sieve::new(region, self.grid), |max| max >= class, visit)?;
+        Ok(found)
     }
 
     /// The first leaf above `limit` that a disc meets on its way along a path.
-    fn first_along(&self, pieces: &[Segment], radius: f64, limit: Class) -> Option<Witness> {
+    fn first_along(&self, pieces: &[Segment], radius: f64, limit: Class) -> Result<Option<Witness>, S::Error> {
         let mut walked = 0.0;
         for piece in pieces {
-            let inner = self.first_on_piece(piece, radius, limit);
+            let inner = self.first_on_piece(piece, radius, limit)?;
             // What is outside is unknown, which no tolerance allows.
             let outer = outside::overhang_along(piece, radius, self.grid);
             match (inner, outer) {
                 (Some((along, leaf, class)), None) => {
-                    return Some(self.inner_witness(leaf, class, Some(walked + along)));
+                    return Ok(Some(self.inner_witness(leaf, class, Some(walked + along))));
                 }
                 (Some((along, leaf, class)), Some((edge, _))) if along <= edge => {
-                    return Some(self.inner_witness(leaf, class, Some(walked + along)));
+                    return Ok(Some(self.inner_witness(leaf, class, Some(walked + along))));
                 }
-                (_, Some((edge, overhang))) => return Some(self.outer_witness(overhang, Some(walked + edge))),
+                (_, Some((edge, overhang))) => return Ok(Some(self.outer_witness(overhang, Some(walked + edge)))),
                 (None, None) => walked += piece.length(),
             }
         }
-        None
+        Ok(None)
     }
 
     /// The leaf above `limit` that a disc touches first on its way along one straight piece, and how far along.
-    fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Option<(f64, NodeAddress, Class)> {
-        let mut best: Option<(f64, NodeAddress, Class)> = None;
+    fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Option<Touch>, S::Error> {
+        let mut best: Option<Touch> = None;
         // What a computed touch may be off by: where a box is grazed, a root of rounding (2^-26) of the sizes involved.
         let slack = 1e-7 * (piece.length() + radius + self.grid.resolution());
-        let pieces = [*piece];
-        let capsule = Region::capsule(piece, radius);
         let visit = |node: NodeAddress, max: Class, _: Cover| {
             let along = piece.first_touch(&self.grid.node_box(node), radius);
             let is_leaf = node.depth == self.tree.depth();
             match best {
-                Some((first, ..)) if along > first + slack => Next::Skip,
-                _ if !is_leaf => Next::Into,
-                Some((first, ..)) if along >= first => Next::Skip,
+                Some((first, ..)) if along > first + slack => Descent::Skip,
+                _ if !is_leaf => Descent::Into,
+                Some((first, ..)) if along >= first => Descent::Skip,
                 _ => {
                     best = Some((along, node, max));
-                    Next::Skip
+                    Descent::Skip
                 }
             }
         };
-        self.walk(&capsule, &mut Probe::capsule(&pieces, radius), |max| max > limit, visit);
-        best
+        self.walk(Sieve::capsule(&[*piece], radius, self.grid), |max| max > limit, visit)?;
+        Ok(best)
     }
 
     fn inner_witness(&self, leaf: NodeAddress, class: Class, distance: Option<f64>) -> Witness {

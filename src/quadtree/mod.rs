@@ -12,6 +12,8 @@ mod grid;
 mod masks;
 mod paving;
 mod reference;
+mod search;
+mod slot;
 mod tree;
 mod walk;
 
@@ -22,5 +24,6 @@ pub use grid::{Grid, GridError, MAX_CELL_SLACK, MAX_COORDINATE, MAX_DEPTH, MAX_R
 pub use masks::{BlockMasks, LeafMasks, RowMask};
 pub use paving::OccupancyPaving;
 pub use reference::{ReferenceNode, ReferenceTree};
-pub use tree::{BlockView, Leaf, OccupancyTree};
+pub use slot::BlockSlot;
+pub use tree::{BlockView, Leaf, OccupancyTree, Tree};
 pub use walk::{Descent, TreeStatistics};
