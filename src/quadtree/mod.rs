@@ -10,6 +10,7 @@ mod class;
 mod exact;
 mod grid;
 mod masks;
+mod paged;
 mod paving;
 mod reference;
 mod search;
@@ -22,6 +23,10 @@ pub use block::Block;
 pub use class::{Class, ClassScale, ClassScaleError};
 pub use grid::{Grid, GridError, MAX_CELL_SLACK, MAX_COORDINATE, MAX_DEPTH, MAX_RESOLUTION, MIN_RESOLUTION};
 pub use masks::{BlockMasks, LeafMasks, RowMask};
+pub use paged::{
+    Access, BlockCache, BlockCell, BlockPager, BlockSource, BlockTag, CacheStatistics, Held, PageError, PagedBlock,
+    PagedTree, SourceError,
+};
 pub use paving::OccupancyPaving;
 pub use reference::{ReferenceNode, ReferenceTree};
 pub use slot::BlockSlot;

@@ -10,13 +10,16 @@ use super::durability::{Durability, Syncer, Ticket};
 use super::keys::{self, Kind};
 use super::record::{self, damaged};
 use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map, not_later, read_window};
-use super::sled_open::{Database, SledOptions, database_path, guarded, open_directory};
-use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, StoreError, StoredMap, lock};
+use super::sled_open::{SledOptions, database_path, guarded, open_directory};
+use super::sled_records::{Blocks, Records};
+use super::{
+    Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, OpenMap, RobotName, SequenceWindow, StoreError, StoredMap,
+    lock,
+};
 use crate::mapping::MapConfig;
-use crate::quadtree::{BlockView, OccupancyTree};
+use crate::quadtree::{BlockCache, BlockPager, BlockTag, BlockView, OccupancyTree, PagedTree};
 use sled::IVec;
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -25,24 +28,14 @@ const PURGE_BATCH: usize = 1000;
 
 /// A store in a directory. One process may have it open at a time.
 pub struct SledStore {
-    db: Database,
+    records: Arc<Records>,
     durability: Durability,
     catalogue: Mutex<Catalogue>,
     /// The number of the next map; held while maps are created and deleted.
     next_map: Mutex<u32>,
     /// The number of the last write; held while a batch is applied, so that numbers are in the order of the log.
     last_write: Mutex<u64>,
-    /// After a failure: what the records of the changes that did not become durable were before.
-    undone: Mutex<Before>,
-    /// Held until all else is dropped.
-    _lock: File,
 }
-
-/// What records were, by key; `None` where there was none.
-type Before = BTreeMap<Vec<u8>, Option<IVec>>;
-
-/// Is shown keys and values.
-type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<(), StoreError> + 'a;
 
 /// One record to be written (or removed: `None`), and what was there before.
 struct Change {
@@ -102,14 +95,13 @@ impl SledStore {
         };
         let durability = Durability::start(opened.last_write, make_durable, nudge)
             .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
+        let records = Records { db: opened.db, undone: Mutex::default(), _lock: opened.lock };
         let store = Self {
-            db: opened.db,
+            records: Arc::new(records),
             durability,
             catalogue: Mutex::new(catalogue),
             next_map: Mutex::new(next),
             last_write: Mutex::new(opened.last_write),
-            undone: Mutex::default(),
-            _lock: opened.lock,
         };
         store.finish_deletions()?;
         Ok(store)
@@ -127,7 +119,7 @@ impl SledStore {
         };
         let mut found = Verification { maps: maps.len() as u64, ..Verification::default() };
         let mut of_map = (None, None);
-        self.scan(&[], &mut |key, value| {
+        self.records.scan(&[], &mut |key, value| {
             let id = keys::map_of(key);
             if of_map.0 != id {
                 of_map = (id, codec(id));
@@ -153,7 +145,7 @@ impl SledStore {
     /// # Errors
     /// When the directory cannot be read.
     pub fn disk_bytes(&self) -> Result<u64, StoreError> {
-        guarded("measuring the store", || self.db.size_on_disk())
+        guarded("measuring the store", || self.records.db.size_on_disk())
     }
 
     fn writable(&self) -> Result<(), StoreError> {
@@ -174,7 +166,7 @@ impl SledStore {
     }
 
     fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
-        let before = guarded("reading what is to be changed", || self.db.get(&key))?;
+        let before = guarded("reading what is to be changed", || self.records.db.get(&key))?;
         Ok(Change { key, value, before })
     }
 
@@ -198,7 +190,7 @@ impl SledStore {
         }
         let applied = self.apply(batch).map_err(|error| error.to_string());
         applied.and_then(|ticket| self.durability.wait(ticket)).map_err(|reason| {
-            let mut undone = lock(&self.undone);
+            let mut undone = lock(&self.records.undone);
             for (key, value) in before {
                 undone.entry(key).or_insert(value);
             }
@@ -211,7 +203,7 @@ impl SledStore {
         let mut last_write = lock(&self.last_write);
         *last_write += 1;
         batch.insert(&keys::LAST_WRITE, record::seal(&keys::LAST_WRITE, 0, &last_write.to_be_bytes()));
-        match guarded("writing", || self.db.apply_batch(batch)) {
+        match guarded("writing", || self.records.db.apply_batch(batch)) {
             Ok(()) => Ok(self.durability.applied()),
             Err(error) => {
                 self.durability.fail(&error.to_string());
@@ -220,20 +212,47 @@ impl SledStore {
         }
     }
 
-    /// Every record whose key begins so, as it was last durable. Its map must be held, but for checks.
-    fn scan(&self, prefix: &[u8], visit: &mut Visit<'_>) -> Result<(), StoreError> {
-        let undone: Before = {
-            let all = lock(&self.undone);
-            let from = all.range(prefix.to_vec()..).take_while(|(key, _)| key.starts_with(prefix));
-            from.map(|(key, value)| (key.clone(), value.clone())).collect()
-        };
-        let mut records = self.db.scan_prefix(prefix);
-        while let Some((key, value)) = guarded("reading records", || records.next().transpose())? {
-            if !undone.contains_key(key.as_ref()) {
-                visit(&key, &value)?;
+    /// Reads a map's blocks and windows; its revision, and the windows.
+    fn read_map(
+        &self,
+        id: MapId,
+        visit: &mut dyn FnMut(BlockTag, BlockView),
+    ) -> Result<(u64, BTreeMap<RobotName, SequenceWindow>), StoreError> {
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let Entry { stored, counts, .. } = self.entry(id)?;
+        let grid = stored.config.grid();
+        let codec = BlockCodec::new(grid.depth(), stored.config.scale());
+        let mut blocks = 0;
+        self.records.scan(&keys::of_map(Kind::Block, id), &mut |key, value| {
+            let address = keys::block_of(key).filter(|address| holds(grid, *address));
+            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
+            let record = record::open(key, Kind::Block, value)?;
+            not_later(key, &record, stored.revision)?;
+            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
+            let max = match &view {
+                BlockView::Uniform(class) => *class,
+                BlockView::Mixed(block) => block.max_at(0, 0, 0),
+            };
+            visit(BlockTag { address, revision: record.revision, max }, view);
+            blocks += 1;
+            Ok(())
+        })?;
+        let mut windows = BTreeMap::new();
+        self.records.scan(&keys::of_map(Kind::Window, id), &mut |key, value| {
+            let (robot, window) = read_window(key, value, stored.revision)?;
+            windows.insert(robot, window);
+            Ok(())
+        })?;
+        for (what, found, expected) in
+            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
+        {
+            if found != expected {
+                let why = format!("{found} {what} found of {expected}");
+                return Err(damaged(&keys::of_map(Kind::State, id), &why));
             }
         }
-        undone.iter().try_for_each(|(key, value)| value.as_ref().map_or(Ok(()), |value| visit(key, value)))
+        Ok((stored.revision, windows))
     }
 
     /// The records of a checked commit, and the counts after it.
@@ -288,7 +307,7 @@ impl SledStore {
     /// Clears away what is left of maps whose deletion was decided but not finished.
     fn finish_deletions(&self) -> Result<(), StoreError> {
         let mut left = Vec::new();
-        self.scan(&[Kind::Tombstone as u8], &mut |key, _| {
+        self.records.scan(&[Kind::Tombstone as u8], &mut |key, _| {
             left.extend(keys::map_of(key));
             Ok(())
         })?;
@@ -301,7 +320,7 @@ impl SledStore {
             let prefix = keys::of_map(kind, id);
             loop {
                 let found: Vec<IVec> = guarded("reading what is to be removed", || {
-                    self.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
+                    self.records.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
                 })?;
                 if found.is_empty() {
                     break;
@@ -390,38 +409,23 @@ impl MapStore for SledStore {
     }
 
     fn load(&self, id: MapId) -> Result<LoadedMap, StoreError> {
-        let busy = self.busy(id)?;
-        let _held = lock(&busy);
-        let Entry { stored, counts, .. } = self.entry(id)?;
-        let (grid, scale) = (stored.config.grid(), stored.config.scale());
-        let codec = BlockCodec::new(grid.depth(), scale);
-        let mut tree = OccupancyTree::new(grid.depth(), scale);
-        let mut blocks = 0;
-        self.scan(&keys::of_map(Kind::Block, id), &mut |key, value| {
-            let address = keys::block_of(key).filter(|address| holds(grid, *address));
-            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
-            let record = record::open(key, Kind::Block, value)?;
-            not_later(key, &record, stored.revision)?;
-            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
-            tree.set_block(address, view);
-            blocks += 1;
-            Ok(())
+        let config = self.entry(id)?.stored.config;
+        let mut tree = OccupancyTree::new(config.grid().depth(), config.scale());
+        let (revision, windows) = self.read_map(id, &mut |tag, view| tree.set_block(tag.address, view))?;
+        Ok(LoadedMap { revision, tree, windows })
+    }
+
+    fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
+        let config = self.entry(id)?.stored.config;
+        let codec = BlockCodec::new(config.grid().depth(), config.scale());
+        let blocks = Blocks { records: Arc::clone(&self.records), id, codec };
+        let pager = Arc::new(BlockPager::new(Box::new(blocks), Arc::clone(cache)));
+        let mut tree = PagedTree::new(config.grid().depth(), config.scale());
+        let (revision, windows) = self.read_map(id, &mut |tag, view| match view {
+            BlockView::Mixed(_) => tree.place_stored(tag, &pager),
+            BlockView::Uniform(class) => tree.place_uniform(tag.address, class),
         })?;
-        let mut windows = BTreeMap::new();
-        self.scan(&keys::of_map(Kind::Window, id), &mut |key, value| {
-            let (robot, window) = read_window(key, value, stored.revision)?;
-            windows.insert(robot, window);
-            Ok(())
-        })?;
-        for (what, found, expected) in
-            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
-        {
-            if found != expected {
-                let why = format!("{found} {what} found of {expected}");
-                return Err(damaged(&keys::of_map(Kind::State, id), &why));
-            }
-        }
-        Ok(LoadedMap { revision: stored.revision, tree, windows })
+        Ok(OpenMap { revision, tree, pager: Some(pager), windows })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {

@@ -6,6 +6,8 @@ mod interval_trig;
 mod interval_vectors;
 mod measurement_cone;
 mod measurement_set;
+mod paged;
+mod paged_support;
 mod paving;
 mod quadtree_grid;
 mod quadtree_support;
