@@ -8,6 +8,7 @@
 #![allow(clippy::print_stdout, reason = "a benchmark prints its figures")]
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use ubbmap::mapping::{EvidenceRule, MapConfig, Region};
@@ -101,11 +102,14 @@ fn inputs(scene: &Scene, (x, y): (f64, f64)) -> Vec<ScanInput> {
     scene.scans.iter().map(input).collect()
 }
 
+/// The fleet comes by every building twice, half of the scans each time.
 async fn map(service: &MapService, name: &MapName, scenes: &[Scene], sites: usize) -> u64 {
     let mut running = tokio::task::JoinSet::new();
     let mut applied = 0;
-    for site in 0..sites * sites {
-        let scans = inputs(&scenes[site % scenes.len()], corner(site, sites));
+    for visit in 0..2 * sites * sites {
+        let (round, site) = (visit / (sites * sites), visit % (sites * sites));
+        let all = inputs(&scenes[site % scenes.len()], corner(site, sites));
+        let scans: Vec<ScanInput> = all.into_iter().skip(round).step_by(2).collect();
         let (service, name) = (service.clone(), name.clone());
         running.spawn(async move { service.insert(&name, scans).await.expect("the store takes it").applied });
         if running.len() >= PARALLEL {
@@ -162,55 +166,88 @@ fn print_memory(service: &MapService, what: &str) {
     );
 }
 
+/// Everything that is measured shares these.
+struct Setting {
+    name: MapName,
+    scenes: Vec<Scene>,
+    sites: usize,
+    maps: usize,
+    settings: ServiceSettings,
+    runtime: tokio::runtime::Runtime,
+}
+
+impl Setting {
+    fn open(&self, directory: &Path) -> (Arc<SledStore>, MapService) {
+        let store = SledStore::open(directory, SledOptions { cache_bytes: (argument("--page-mib", 16) << 20) as u64 })
+            .expect("the store opens");
+        let store = Arc::new(store);
+        let service = MapService::open(Arc::clone(&store) as _, self.settings.clone()).expect("a service");
+        (store, service)
+    }
+
+    /// Maps the large map, asks it, and makes many small ones.
+    fn build(&self, directory: &Path) {
+        let (store, service) = self.open(directory);
+        self.runtime.block_on(service.create_map(&self.name, config())).expect("a map");
+        let start = Instant::now();
+        let applied = self.runtime.block_on(map(&service, &self.name, &self.scenes, self.sites));
+        let seconds = start.elapsed().as_secs_f64();
+        let megabytes = store.disk_bytes().unwrap_or(0) as f64 * 1e-6;
+        println!("mapped: {applied} scans in {seconds:.1} s, {megabytes:.0} MB on disk");
+        print_memory(&service, "after mapping");
+        self.runtime.block_on(query(&service, &self.name, &self.scenes, self.sites));
+        print_memory(&service, "after queries");
+        let scans = inputs(&self.scenes[0], (0.0, 0.0));
+        for i in 0..self.maps {
+            let other = MapName::new(&format!("map-{i}")).expect("a name");
+            self.runtime.block_on(service.create_map(&other, config())).expect("a map");
+            self.runtime.block_on(service.insert(&other, scans[..4].to_vec())).expect("it is stored");
+        }
+        self.runtime.block_on(service.drain());
+    }
+
+    /// Starts on what is there, and asks the large map.
+    fn reopen(&self, directory: &Path) {
+        let start = Instant::now();
+        let (_store, service) = self.open(directory);
+        let seconds = start.elapsed().as_secs_f64();
+        let listed = self.runtime.block_on(service.maps()).expect("the maps").len();
+        println!("started with {listed} maps in {seconds:.3} s");
+        print_memory(&service, "after the start");
+        let start = Instant::now();
+        let revision = self.runtime.block_on(service.map(&self.name)).expect("the map").revision;
+        println!("opened the large map at revision {revision} in {:.3} s", start.elapsed().as_secs_f64());
+        print_memory(&service, "after opening");
+        self.runtime.block_on(query(&service, &self.name, &self.scenes, self.sites));
+        print_memory(&service, "after queries");
+        self.runtime.block_on(service.drain());
+    }
+}
+
 fn main() {
-    let (cache_mib, sites, maps) = (argument("--cache-mib", 64), argument("--sites", 49), argument("--maps", 1000));
-    let directory = std::env::temp_dir().join(format!("ubbmap-large-{}", std::process::id()));
-    let settings = ServiceSettings { cache_bytes: cache_mib << 20, ..ServiceSettings::default() };
-    let options = SledOptions { cache_bytes: 16 << 20 };
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime");
-    let name = MapName::new("site").expect("a name");
-    let scenes: Vec<Scene> = (0..SCENES).map(scene).collect();
+    let sites = argument("--sites", 49);
+    let setting = Setting {
+        name: MapName::new("site").expect("a name"),
+        scenes: (0..SCENES).map(scene).collect(),
+        sites,
+        maps: argument("--maps", 1000),
+        settings: ServiceSettings { cache_bytes: argument("--cache-mib", 64) << 20, ..ServiceSettings::default() },
+        runtime: tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime"),
+    };
+    if let Some(directory) = std::env::args().skip_while(|argument| argument != "--reopen").nth(1) {
+        return setting.reopen(Path::new(&directory));
+    }
     let extent = (sites as f64 - 1.0) * SPACING * 1e-3;
     println!("{sites} x {sites} buildings of 25 m x 15 m over {extent:.1} km, {RESOLUTION} m leaves");
-
-    let store = Arc::new(SledStore::open(&directory, options).expect("the store opens"));
-    let service = MapService::open(Arc::clone(&store) as _, settings.clone()).expect("a service");
-    runtime.block_on(service.create_map(&name, config())).expect("a map");
-    let start = Instant::now();
-    let applied = runtime.block_on(map(&service, &name, &scenes, sites));
-    let seconds = start.elapsed().as_secs_f64();
-    println!(
-        "mapped: {applied} scans in {seconds:.1} s, {:.0} MB on disk",
-        store.disk_bytes().unwrap_or(0) as f64 * 1e-6
-    );
-    print_memory(&service, "after mapping");
-    runtime.block_on(query(&service, &name, &scenes, sites));
-    print_memory(&service, "after queries");
-
-    let scans = inputs(&scenes[0], (0.0, 0.0));
-    for i in 0..maps {
-        let other = MapName::new(&format!("map-{i}")).expect("a name");
-        runtime.block_on(service.create_map(&other, config())).expect("a map");
-        runtime.block_on(service.insert(&other, scans[..4].to_vec())).expect("it is stored");
+    let directory = std::env::temp_dir().join(format!("ubbmap-large-{}", std::process::id()));
+    setting.build(&directory);
+    // In a process of its own, whose memory has not seen the mapping.
+    let program = std::env::current_exe().expect("this program");
+    let again =
+        std::process::Command::new(program).args(std::env::args().skip(1)).arg("--reopen").arg(&directory).status();
+    assert!(again.is_ok_and(|status| status.success()), "the second process ends well");
+    if argument("--keep", 0) == 0 {
+        // What cannot be deleted stays in the system's directory for what may go.
+        let _ = std::fs::remove_dir_all(directory);
     }
-    runtime.block_on(service.drain());
-    drop(service);
-    drop(store);
-    let start = Instant::now();
-    let store = Arc::new(SledStore::open(&directory, options).expect("the store opens"));
-    let opened = start.elapsed().as_secs_f64();
-    let service = MapService::open(store, settings).expect("a service");
-    let begun = start.elapsed().as_secs_f64();
-    let listed = runtime.block_on(service.maps()).expect("the maps");
-    println!("started with {} maps in {begun:.3} s ({opened:.3} s of it the store)", listed.len());
-    let start = Instant::now();
-    let revision = runtime.block_on(service.map(&name)).expect("the map").revision;
-    println!("opened the large map at revision {revision} in {:.3} s", start.elapsed().as_secs_f64());
-    runtime.block_on(query(&service, &name, &scenes, sites));
-    print_memory(&service, "after the restart");
-    runtime.block_on(service.drain());
-    drop(service);
-    drop(runtime);
-    // What cannot be deleted stays in the system's directory for what may go.
-    let _ = std::fs::remove_dir_all(directory);
 }
