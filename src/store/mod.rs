@@ -9,6 +9,7 @@ mod bytes;
 mod checks;
 mod config_record;
 mod durability;
+mod groups;
 mod keys;
 mod map_file;
 mod mark;

@@ -1,11 +1,14 @@
 //! The records of a store on disk as they were last durable, for all who read them.
 
 use super::block_codec::BlockCodec;
+use super::checks::holds;
+use super::groups::Known;
 use super::keys::{self, Kind};
 use super::record::{self, damaged};
+use super::sled_catalogue::{Entry, not_later, read_window};
 use super::sled_open::{Database, guarded};
-use super::{MapId, StoreError, lock};
-use crate::quadtree::{Block, BlockSource, BlockTag, BlockView, SourceError};
+use super::{MapId, RobotName, SequenceWindow, StoreError, lock};
+use crate::quadtree::{Block, BlockAddress, BlockSource, BlockTag, BlockView, SourceError};
 use sled::IVec;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -28,7 +31,7 @@ pub(super) struct Records {
 
 impl Records {
     /// A record as it was last durable, for readers of a record that no commit under way replaces.
-    fn get(&self, key: &[u8]) -> Result<Option<IVec>, StoreError> {
+    pub(super) fn get(&self, key: &[u8]) -> Result<Option<IVec>, StoreError> {
         if let Some(before) = lock(&self.undone).get(key) {
             return Ok(before.clone());
         }
@@ -49,6 +52,52 @@ impl Records {
             }
         }
         undone.iter().try_for_each(|(key, value)| value.as_ref().map_or(Ok(()), |value| visit(key, value)))
+    }
+
+    /// Reads every block of a map; what is known of each. The map must be held.
+    pub(super) fn read_blocks(
+        &self,
+        entry: &Entry,
+        visit: &mut dyn FnMut(BlockTag, BlockView),
+    ) -> Result<Vec<(BlockAddress, Known)>, StoreError> {
+        let (stored, codec) = (&entry.stored, entry.codec());
+        let mut blocks = Vec::new();
+        self.scan(&keys::of_map(Kind::Block, stored.id), &mut |key, value| {
+            let address = keys::block_of(key).filter(|address| holds(stored.config.grid(), *address));
+            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
+            let record = record::open(key, Kind::Block, value)?;
+            not_later(key, &record, stored.revision)?;
+            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
+            let known = Known::of(&view, record.revision);
+            visit(known.tag(address), view);
+            blocks.push((address, known));
+            Ok(())
+        })?;
+        Ok(blocks)
+    }
+
+    /// Reads a map's windows, and checks their number and that of the blocks found. The map must be held.
+    pub(super) fn read_windows(
+        &self,
+        entry: &Entry,
+        blocks: u64,
+    ) -> Result<BTreeMap<RobotName, SequenceWindow>, StoreError> {
+        let (stored, counts) = (&entry.stored, &entry.counts);
+        let mut windows = BTreeMap::new();
+        self.scan(&keys::of_map(Kind::Window, stored.id), &mut |key, value| {
+            let (robot, window) = read_window(key, value, stored.revision)?;
+            windows.insert(robot, window);
+            Ok(())
+        })?;
+        for (what, found, expected) in
+            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
+        {
+            if found != expected {
+                let why = format!("{found} {what} found of {expected}");
+                return Err(damaged(&keys::of_map(Kind::State, stored.id), &why));
+            }
+        }
+        Ok(windows)
     }
 }
 

@@ -4,22 +4,19 @@
 //! then is a call answered. After a failed write nothing is written any more, and reads show what was durable before.
 
 use super::block_codec::BlockCodec;
-use super::checks::{check_commit, holds};
+use super::checks::check_commit;
 use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor, encode_window};
 use super::durability::{Durability, Syncer, Ticket};
+use super::groups::{Known, Noted};
 use super::keys::{self, Kind};
-use super::record::{self, damaged};
-use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map, not_later, read_window};
+use super::record;
+use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
 use super::sled_open::{SledOptions, database_path, guarded, open_directory};
 use super::sled_records::{Blocks, Records};
-use super::{
-    Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, OpenMap, RobotName, SequenceWindow, StoreError, StoredMap,
-    lock,
-};
+use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, OpenMap, StoreError, StoredMap, lock};
 use crate::mapping::MapConfig;
-use crate::quadtree::{BlockCache, BlockPager, BlockTag, BlockView, OccupancyTree, PagedTree};
+use crate::quadtree::{BlockCache, BlockPager, BlockView, OccupancyTree, PagedTree};
 use sled::IVec;
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -212,56 +209,13 @@ impl SledStore {
         }
     }
 
-    /// Reads a map's blocks and windows; its revision, and the windows.
-    fn read_map(
-        &self,
-        id: MapId,
-        visit: &mut dyn FnMut(BlockTag, BlockView),
-    ) -> Result<(u64, BTreeMap<RobotName, SequenceWindow>), StoreError> {
-        let busy = self.busy(id)?;
-        let _held = lock(&busy);
-        let Entry { stored, counts, .. } = self.entry(id)?;
-        let grid = stored.config.grid();
-        let codec = BlockCodec::new(grid.depth(), stored.config.scale());
-        let mut blocks = 0;
-        self.records.scan(&keys::of_map(Kind::Block, id), &mut |key, value| {
-            let address = keys::block_of(key).filter(|address| holds(grid, *address));
-            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
-            let record = record::open(key, Kind::Block, value)?;
-            not_later(key, &record, stored.revision)?;
-            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
-            let max = match &view {
-                BlockView::Uniform(class) => *class,
-                BlockView::Mixed(block) => block.max_at(0, 0, 0),
-            };
-            visit(BlockTag { address, revision: record.revision, max }, view);
-            blocks += 1;
-            Ok(())
-        })?;
-        let mut windows = BTreeMap::new();
-        self.records.scan(&keys::of_map(Kind::Window, id), &mut |key, value| {
-            let (robot, window) = read_window(key, value, stored.revision)?;
-            windows.insert(robot, window);
-            Ok(())
-        })?;
-        for (what, found, expected) in
-            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
-        {
-            if found != expected {
-                let why = format!("{found} {what} found of {expected}");
-                return Err(damaged(&keys::of_map(Kind::State, id), &why));
-            }
-        }
-        Ok((stored.revision, windows))
-    }
-
     /// The records of a checked commit, and the counts after it.
     fn commit_changes(&self, entry: &Entry, commit: &Commit) -> Result<(Vec<Change>, Counts), StoreError> {
         let StoredMap { id, config, .. } = &entry.stored;
         let codec = BlockCodec::new(config.grid().depth(), config.scale());
         let mut counts = entry.counts;
         let mut changes = Vec::with_capacity(commit.blocks.len() + commit.windows.len() + 1);
-        let mut content = Vec::new();
+        let (mut content, mut noted) = (Vec::new(), Vec::with_capacity(commit.blocks.len()));
         for (address, view) in &commit.blocks {
             let key = keys::block(*id, *address);
             // A block that is unknown throughout is one that is not there.
@@ -274,7 +228,15 @@ impl SledStore {
             };
             counts.blocks += u64::from(change.value.is_some());
             counts.blocks = counts.blocks.saturating_sub(u64::from(change.before.is_some()));
+            let known = change.value.is_some().then(|| Known::of(view, commit.revision));
+            noted.push(Noted { address: *address, known, before: change.before.is_some() });
             changes.push(change);
+        }
+        for (key, content) in self.records.groups_after(*id, &noted, &codec)? {
+            changes.push(match content {
+                Some(content) => self.put(key, commit.revision, &content)?,
+                None => self.change(key, None)?,
+            });
         }
         for (robot, window) in &commit.windows {
             content.clear();
@@ -316,7 +278,7 @@ impl SledStore {
 
     /// Removes the records of a map that has a tombstone, and the tombstone last.
     fn purge(&self, id: MapId) -> Result<(), StoreError> {
-        for kind in [Kind::Block, Kind::Window, Kind::Sensor] {
+        for kind in [Kind::Block, Kind::Group, Kind::Window, Kind::Sensor] {
             let prefix = keys::of_map(kind, id);
             loop {
                 let found: Vec<IVec> = guarded("reading what is to be removed", || {
@@ -409,23 +371,40 @@ impl MapStore for SledStore {
     }
 
     fn load(&self, id: MapId) -> Result<LoadedMap, StoreError> {
-        let config = self.entry(id)?.stored.config;
-        let mut tree = OccupancyTree::new(config.grid().depth(), config.scale());
-        let (revision, windows) = self.read_map(id, &mut |tag, view| tree.set_block(tag.address, view))?;
-        Ok(LoadedMap { revision, tree, windows })
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let entry = self.entry(id)?;
+        let grid = entry.stored.config.grid();
+        let mut tree = OccupancyTree::new(grid.depth(), entry.stored.config.scale());
+        let blocks = self.records.read_blocks(&entry, &mut |tag, view| tree.set_block(tag.address, view))?;
+        let windows = self.records.read_windows(&entry, blocks.len() as u64)?;
+        self.records.check_groups(&entry, &blocks)?;
+        Ok(LoadedMap { revision: entry.stored.revision, tree, windows })
     }
 
     fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
-        let config = self.entry(id)?.stored.config;
-        let codec = BlockCodec::new(config.grid().depth(), config.scale());
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let entry = self.entry(id)?;
+        let codec = entry.codec();
         let blocks = Blocks { records: Arc::clone(&self.records), id, codec };
         let pager = Arc::new(BlockPager::new(Box::new(blocks), Arc::clone(cache)));
-        let mut tree = PagedTree::new(config.grid().depth(), config.scale());
-        let (revision, windows) = self.read_map(id, &mut |tag, view| match view {
-            BlockView::Mixed(_) => tree.place_stored(tag, &pager),
-            BlockView::Uniform(class) => tree.place_uniform(tag.address, class),
-        })?;
-        Ok(OpenMap { revision, tree, pager: Some(pager), windows })
+        let mut tree = PagedTree::new(entry.stored.config.grid().depth(), entry.stored.config.scale());
+        let mut known = self.records.read_groups(&entry)?;
+        if known.len() as u64 != entry.counts.blocks {
+            tracing::warn!(map = id.0, "its groups of blocks do not tell of all blocks: each block is read instead");
+            let blocks = self.records.read_blocks(&entry, &mut |_, _| ())?;
+            known = blocks.into_iter().map(|(address, known)| (known.tag(address), known.mixed)).collect();
+        }
+        let windows = self.records.read_windows(&entry, known.len() as u64)?;
+        for (tag, mixed) in known {
+            if mixed {
+                tree.place_stored(tag, &pager);
+            } else {
+                tree.place_uniform(tag.address, tag.max);
+            }
+        }
+        Ok(OpenMap { revision: entry.stored.revision, tree, pager: Some(pager), windows })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {
