@@ -1,7 +1,7 @@
 //! A map of 10 km x 10 km at 0.05 m made by a simulated fleet, mapped and queried under a memory limit; the start of a
 //! server with 1,000 maps.
 //!
-//! `cargo bench --bench large -- [--cache-mib 64] [--sites 49] [--maps 1000]`. Robots scan buildings that stand 204.8 m
+//! `cargo bench --bench large -- [--cache-mib 16] [--page-mib 4] [--sites 49] [--maps 1000]`. Robots scan buildings that stand 204.8 m
 //! apart, on a store on disk in a new directory below the system's for temporary files; what is printed as peak is the
 //! largest resident set of this process (`VmHWM`), which holds the simulation as well. On Linux.
 
@@ -178,7 +178,7 @@ struct Setting {
 
 impl Setting {
     fn open(&self, directory: &Path) -> (Arc<SledStore>, MapService) {
-        let store = SledStore::open(directory, SledOptions { cache_bytes: (argument("--page-mib", 16) << 20) as u64 })
+        let store = SledStore::open(directory, SledOptions { cache_bytes: (argument("--page-mib", 4) << 20) as u64 })
             .expect("the store opens");
         let store = Arc::new(store);
         let service = MapService::open(Arc::clone(&store) as _, self.settings.clone()).expect("a service");
@@ -231,7 +231,7 @@ fn main() {
         scenes: (0..SCENES).map(scene).collect(),
         sites,
         maps: argument("--maps", 1000),
-        settings: ServiceSettings { cache_bytes: argument("--cache-mib", 64) << 20, ..ServiceSettings::default() },
+        settings: ServiceSettings { cache_bytes: argument("--cache-mib", 16) << 20, ..ServiceSettings::default() },
         runtime: tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("a runtime"),
     };
     if let Some(directory) = std::env::args().skip_while(|argument| argument != "--reopen").nth(1) {

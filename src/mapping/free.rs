@@ -4,7 +4,9 @@ use super::Region;
 use super::outside::{self, Overhang};
 use super::region::{Cover, Lens, Probe, Segment, Shape, smallest_node};
 use crate::interval::Box2;
-use crate::quadtree::{BlockSlot, Class, Descent, Grid, LeafRange, NodeAddress, OccupancyTree, Tree};
+use crate::quadtree::{
+    Block, BlockAddress, BlockSlot, Class, Descent, Grid, LeafRange, NodeAddress, OccupancyTree, Searcher, Tree,
+};
 use std::cell::Cell;
 
 /// Why a region is not guaranteed free.
@@ -146,7 +148,7 @@ impl<S: BlockSlot> Query<'_, S> {
             Sieve::Quick(mut lens) => {
                 for part in 0..lens.parts() {
                     let Some(top) = lens.turn_to(part) else { continue };
-                    let ran_through = self.tree.search(top, &mut |node, max| {
+                    let ran_through = self.tree.search(top, &mut |node: NodeAddress, max: Class| {
                         if !wanted(max) {
                             return Descent::Skip;
                         }
@@ -167,7 +169,7 @@ impl<S: BlockSlot> Query<'_, S> {
                 }
                 let (first, last) = ([range.min_x, range.min_y], [range.max_x - 1, range.max_y - 1]);
                 let top = smallest_node(self.tree.depth(), first, last);
-                self.tree.search(top, &mut |node, max| {
+                self.tree.search(top, &mut |node: NodeAddress, max: Class| {
                     let levels = self.tree.depth() - node.depth;
                     if !wanted(max) || !overlaps(&range, node, levels) {
                         return Descent::Skip;
@@ -185,6 +187,9 @@ impl<S: BlockSlot> Query<'_, S> {
 
     /// The largest class of the leaves that meet a region; 0 when none does.
     fn largest_class(&self, region: &Region) -> Result<Class, S::Error> {
+        if let Some(lens) = Lens::new(region, self.grid) {
+            return Largest { lens, largest: 0, top: self.tree.scale().occupied() }.find(self.tree);
+        }
         let largest = Cell::new(0);
         let top = self.tree.scale().occupied();
         let visit = |_: NodeAddress, max: Class, cover: Cover| {
@@ -235,6 +240,13 @@ impl<S: BlockSlot> Query<'_, S> {
 
     /// The leaf above `limit` that a disc touches first on its way along one straight piece, and how far along.
     fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Option<Touch>, S::Error> {
+        let pieces = [*piece];
+        // Most pieces have none, which is known much sooner than the first of some.
+        if let Some(lens) = Lens::capsule(&pieces, radius, self.grid)
+            && (Largest { lens, largest: limit, top: limit + 1 }).find(self.tree)? <= limit
+        {
+            return Ok(None);
+        }
         let mut best: Option<Touch> = None;
         // What a computed touch may be off by: where a box is grazed, a root of rounding (2^-26) of the sizes involved.
         let slack = 1e-7 * (piece.length() + radius + self.grid.resolution());
@@ -251,7 +263,7 @@ impl<S: BlockSlot> Query<'_, S> {
                 }
             }
         };
-        self.walk(Sieve::capsule(&[*piece], radius, self.grid), |max| max > limit, visit)?;
+        self.walk(Sieve::capsule(&pieces, radius, self.grid), |max| max > limit, visit)?;
         Ok(best)
     }
 
@@ -266,6 +278,47 @@ impl<S: BlockSlot> Query<'_, S> {
 
     fn outer_witness(&self, overhang: Overhang, distance: Option<f64>) -> Witness {
         Witness { node: None, class: self.unknown, min: overhang.cell_min, size: self.grid.resolution(), distance }
+    }
+}
+
+/// A search for the largest class of the leaves that meet a region: by nodes down to the blocks, by rows within them.
+struct Largest<'a> {
+    lens: Lens<'a>,
+    largest: Class,
+    /// The highest class of the scale.
+    top: Class,
+}
+
+impl Largest<'_> {
+    fn find<S: BlockSlot>(mut self, tree: &Tree<S>) -> Result<Class, S::Error> {
+        for part in 0..self.lens.parts() {
+            let Some(top) = self.lens.turn_to(part) else { continue };
+            if !tree.search(top, &mut self)? {
+                break;
+            }
+        }
+        Ok(self.largest)
+    }
+}
+
+impl Searcher for Largest<'_> {
+    fn node(&mut self, node: NodeAddress, max: Class) -> Descent {
+        if max <= self.largest {
+            return Descent::Skip;
+        }
+        match self.lens.classify(node) {
+            Cover::Apart => Descent::Skip,
+            Cover::Some => Descent::Into,
+            Cover::All => {
+                self.largest = max;
+                if max >= self.top { Descent::Stop } else { Descent::Skip }
+            }
+        }
+    }
+
+    fn block(&mut self, address: BlockAddress, block: &Block) -> Option<bool> {
+        self.largest = self.lens.largest_in(address, block, self.largest);
+        Some(self.largest < self.top)
     }
 }
 

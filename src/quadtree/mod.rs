@@ -29,6 +29,7 @@ pub use paged::{
 };
 pub use paving::OccupancyPaving;
 pub use reference::{ReferenceNode, ReferenceTree};
+pub use search::Searcher;
 pub use slot::BlockSlot;
 pub use tree::{BlockView, Leaf, OccupancyTree, Tree};
 pub use walk::{Descent, TreeStatistics};

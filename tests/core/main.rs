@@ -1,6 +1,7 @@
 //! Tests of the core's public interface: floors 0 to 2.
 
 mod free;
+mod free_lens;
 mod interval_arithmetic;
 mod interval_trig;
 mod interval_vectors;

@@ -20,7 +20,7 @@ use super::probe::Cover;
 use super::segment::{LEAF_SLACK, Segment};
 use super::{Region, Shape};
 use crate::interval::Box2;
-use crate::quadtree::{Grid, LeafRange, MAX_DEPTH, NodeAddress};
+use crate::quadtree::{BLOCK_SIDE, BlockAddress, Grid, LeafRange, MAX_DEPTH, NodeAddress};
 use std::f64::consts::SQRT_2;
 
 /// How far beyond the root a region may reach, in leaves.
@@ -29,43 +29,51 @@ const REACH: f64 = (1 << 24) as f64;
 /// Pieces of a path that are looked at together: one bit each in a word.
 const GROUP: usize = 64;
 
+/// Nodes above this side, in leaves, are held against the box about the region first: one that is no smaller than it
+/// hardly tells more by the region itself.
+const BOX_SIDE: f64 = 32.0;
+
 /// A piece whose squared length is below this, in leaves, is taken for its start: it is shorter than any rounding.
 const POINT: f64 = 1e-30;
 
 /// A region as seen from one map, for one descent at a time.
 pub struct Lens<'a> {
-    grid: &'a Grid,
+    pub(super) grid: &'a Grid,
     bounds: Box2,
-    slack: f64,
-    shape: Scaled<'a>,
+    pub(super) slack: f64,
+    pub(super) shape: Scaled<'a>,
+    /// The box about the part that is looked at, in leaves with the slack: `(min, max)`.
+    part: ((f64, f64), (f64, f64)),
     /// The leaves that meet the bounds, exactly; computed when the first leaf is in doubt.
     range: Option<LeafRange>,
 }
 
 /// A shape in leaves from the root's min corner.
-enum Scaled<'a> {
+pub(super) enum Scaled<'a> {
     Rectangle { lo: (f64, f64), hi: (f64, f64) },
     Disc { center: (f64, f64), radius: f64, region: &'a Region },
     Path(Capsules<'a>),
 }
 
 /// The pieces of a path, looked at in groups.
-struct Capsules<'a> {
+pub(super) struct Capsules<'a> {
     pieces: &'a [Segment],
-    lines: Vec<Line>,
-    radius: f64,
+    pub(super) lines: Vec<Line>,
+    pub(super) radius: f64,
     /// The radius in metres.
     radius_m: f64,
     /// The first piece of the group that is looked at.
-    first: usize,
+    pub(super) first: usize,
+    /// Depth of the part's first node.
+    top: u8,
     /// By depth: the pieces of the group that the parent of a node there left open.
-    open: [u64; MAX_DEPTH as usize + 2],
+    pub(super) open: [u64; MAX_DEPTH as usize + 2],
 }
 
 /// A piece of a path in leaves.
 #[derive(Clone, Copy)]
-struct Line {
-    start: (f64, f64),
+pub(super) struct Line {
+    pub(super) start: (f64, f64),
     step: (f64, f64),
     /// 1 over the squared length; 0 for a point.
     inverse: f64,
@@ -108,7 +116,16 @@ impl Square {
 }
 
 impl Line {
-    fn end(&self) -> (f64, f64) {
+    /// Does the box about it and everything within `radius` of it meet a block?
+    pub(super) fn is_near(&self, block: BlockAddress, radius: f64) -> bool {
+        let near = |start: f64, step: f64, index: u32| {
+            let (min, max) = (f64::from(index * BLOCK_SIDE), f64::from((index + 1) * BLOCK_SIDE));
+            start + step.min(0.0) - radius <= max && start + step.max(0.0) + radius >= min
+        };
+        near(self.start.0, self.step.0, block.x) && near(self.start.1, self.step.1, block.y)
+    }
+
+    pub(super) fn end(&self) -> (f64, f64) {
         (self.start.0 + self.step.0, self.start.1 + self.step.1)
     }
 
@@ -179,7 +196,7 @@ impl<'a> Lens<'a> {
             (in_leaves(grid, (bounds.x.lo(), bounds.y.lo())), in_leaves(grid, (bounds.x.hi(), bounds.y.hi())));
         let most = f64::from(grid.side()) + REACH;
         let near = lo.0 >= -REACH && lo.1 >= -REACH && hi.0 <= most && hi.1 <= most;
-        near.then(|| Self { grid, bounds, slack: 4.0 * grid.cell_slack(), shape, range: None })
+        near.then(|| Self { grid, bounds, slack: 4.0 * grid.cell_slack(), shape, part: (lo, hi), range: None })
     }
 
     /// Parts of the region that are looked at one after the other, each with a descent of its own.
@@ -197,9 +214,10 @@ impl<'a> Lens<'a> {
             Scaled::Disc { center: (x, y), radius, .. } => ((*x - *radius, *y - *radius), (*x + *radius, *y + *radius)),
             Scaled::Path(capsules) => capsules.turn_to(part * GROUP),
         };
+        let (lo, hi) = ((lo.0 - self.slack, lo.1 - self.slack), (hi.0 + self.slack, hi.1 + self.slack));
+        self.part = (lo, hi);
         let last = f64::from(self.grid.side() - 1);
-        let (first_x, first_y) = ((lo.0 - self.slack).floor(), (lo.1 - self.slack).floor());
-        let (last_x, last_y) = ((hi.0 + self.slack).floor(), (hi.1 + self.slack).floor());
+        let ((first_x, first_y), (last_x, last_y)) = ((lo.0.floor(), lo.1.floor()), (hi.0.floor(), hi.1.floor()));
         if first_x > last || first_y > last || last_x < 0.0 || last_y < 0.0 {
             return None;
         }
@@ -207,6 +225,7 @@ impl<'a> Lens<'a> {
         let top = smallest_node(self.grid.depth(), [index(first_x), index(first_y)], [index(last_x), index(last_y)]);
         if let Scaled::Path(capsules) = &mut self.shape {
             capsules.open[usize::from(top.depth)] = capsules.all();
+            capsules.top = top.depth;
         }
         Some(top)
     }
@@ -217,6 +236,18 @@ impl<'a> Lens<'a> {
         let side = f64::from(1_u32 << levels);
         let square = Square { min: (f64::from(node.x) * side, f64::from(node.y) * side), side };
         let (is_leaf, slack) = (levels == 0, self.slack);
+        if side > BOX_SIDE {
+            let ((lo, hi), max) = (self.part, square.max());
+            if lo.0 > max.0 || lo.1 > max.1 || hi.0 < square.min.0 || hi.1 < square.min.1 {
+                return Cover::Apart;
+            }
+            if side >= (hi.0 - lo.0).max(hi.1 - lo.1) {
+                if let Scaled::Path(capsules) = &mut self.shape {
+                    capsules.open[usize::from(node.depth) + 1] = capsules.open[usize::from(node.depth)];
+                }
+                return Cover::Some;
+            }
+        }
         let (reach, covers) = match &mut self.shape {
             Scaled::Rectangle { lo, hi } => rectangle(*lo, *hi, square, slack),
             Scaled::Disc { center, radius, .. } => {
@@ -274,6 +305,7 @@ impl<'a> Capsules<'a> {
             radius: radius / grid.resolution(),
             radius_m: radius,
             first: 0,
+            top: 0,
             open: [0; MAX_DEPTH as usize + 2],
         }
     }
@@ -285,6 +317,11 @@ impl<'a> Capsules<'a> {
     /// The bits of all pieces of the group.
     fn all(&self) -> u64 {
         u64::MAX >> (GROUP - self.group().len().clamp(1, GROUP))
+    }
+
+    /// The pieces that may meet the node at this depth that was classified last, or all where the search began below.
+    pub(super) fn candidates(&self, depth: u8) -> u64 {
+        if self.top > depth { self.all() } else { self.open[usize::from(depth) + 1] }
     }
 
     /// The bounds of a group.
@@ -354,7 +391,7 @@ impl<'a> Capsules<'a> {
 }
 
 /// The places of the ones in a word.
-fn bits(mut word: u64) -> impl Iterator<Item = usize> {
+pub(super) fn bits(mut word: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
         let bit = word.trailing_zeros() as usize;
         let found = word != 0;

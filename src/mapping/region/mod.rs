@@ -3,6 +3,8 @@
 mod lens;
 mod polygon;
 mod probe;
+mod rows;
+mod scan;
 mod segment;
 
 pub(super) use lens::{Lens, smallest_node};
