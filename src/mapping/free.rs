@@ -8,6 +8,7 @@ use crate::quadtree::{
     Block, BlockAddress, BlockSlot, Class, Descent, Grid, LeafRange, NodeAddress, OccupancyTree, Searcher, Tree,
 };
 use std::cell::Cell;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Why a region is not guaranteed free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -99,6 +100,9 @@ fn reason(class: Class, unknown: Class) -> Reason {
     }
 }
 
+/// A stretch of a path so many radii long is searched as it is.
+const STRETCH: f64 = 4.0;
+
 /// How far along a piece a leaf is touched, metres, the leaf and its class.
 type Touch = (f64, NodeAddress, Class);
 
@@ -122,13 +126,6 @@ impl<'a> Sieve<'a> {
         match Lens::new(region, grid) {
             Some(lens) => Self::Quick(lens),
             None => Self::Exact(Probe::new(region), region.bounds()),
-        }
-    }
-
-    fn capsule(piece: &'a [Segment; 1], radius: f64, grid: &'a Grid) -> Self {
-        match Lens::capsule(piece, radius, grid) {
-            Some(lens) => Self::Quick(lens),
-            None => Self::Exact(Probe::capsule(piece, radius), Region::capsule(&piece[0], radius)),
         }
     }
 }
@@ -240,31 +237,91 @@ impl<S: BlockSlot> Query<'_, S> {
 
     /// The leaf above `limit` that a disc touches first on its way along one straight piece, and how far along.
     fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Option<Touch>, S::Error> {
-        let pieces = [*piece];
+        let whole = [*piece];
+        let Some(mut lens) = Lens::capsule(&whole, radius, self.grid) else {
+            let sieve = Sieve::Exact(Probe::capsule(&whole, radius), Region::capsule(piece, radius));
+            return self.first_in(sieve, piece, radius, limit, |_| true);
+        };
         // Most pieces have none, which is known much sooner than the first of some.
-        if let Some(lens) = Lens::capsule(&pieces, radius, self.grid)
-            && (Largest { lens, largest: limit, top: limit + 1 }).find(self.tree)? <= limit
-        {
+        if !self.any_above(&whole, radius, limit)? {
             return Ok(None);
         }
-        let mut best: Option<Touch> = None;
-        // What a computed touch may be off by: where a box is grazed, a root of rounding (2^-26) of the sizes involved.
-        let slack = 1e-7 * (piece.length() + radius + self.grid.resolution());
-        let visit = |node: NodeAddress, max: Class, _: Cover| {
-            let along = piece.first_touch(&self.grid.node_box(node), radius);
-            let is_leaf = node.depth == self.tree.depth();
-            match best {
-                Some((first, ..)) if along > first + slack => Descent::Skip,
-                _ if !is_leaf => Descent::Into,
-                Some((first, ..)) if along >= first => Descent::Skip,
-                _ => {
-                    best = Some((along, node, max));
-                    Descent::Skip
-                }
+        let stretch = [self.first_stretch(piece, radius, limit)?];
+        let wide = radius + self.touch_slack(piece, radius);
+        if let Some(near) = Lens::capsule(&stretch, wide, self.grid) {
+            let found = self.first_in(Sieve::Quick(near), piece, radius, limit, |leaf| lens.meets(leaf))?;
+            if found.is_some() {
+                return Ok(found);
             }
+        }
+        self.first_in(Sieve::Quick(lens), piece, radius, limit, |_| true)
+    }
+
+    /// The first of the leaves above `limit` of a sieve that `meets` lets through.
+    fn first_in(
+        &self,
+        sieve: Sieve<'_>,
+        piece: &Segment,
+        radius: f64,
+        limit: Class,
+        mut meets: impl FnMut(NodeAddress) -> bool,
+    ) -> Result<Option<Touch>, S::Error> {
+        let mut best: Option<Touch> = None;
+        let slack = self.touch_slack(piece, radius);
+        let visit = |node: NodeAddress, max: Class, _: Cover| {
+            let first = best.map(|(first, ..)| first);
+            if first.is_some_and(|first| self.least_along(piece, radius, node) > first + slack) {
+                return Descent::Skip;
+            }
+            if node.depth < self.tree.depth() {
+                return Descent::Into;
+            }
+            let along = piece.first_touch(&self.grid.node_box(node), radius);
+            if first.is_none_or(|first| along < first) && meets(node) {
+                best = Some((along, node, max));
+            }
+            Descent::Skip
         };
-        self.walk(Sieve::capsule(&pieces, radius, self.grid), |max| max > limit, visit)?;
+        self.walk(sieve, |max| max > limit, visit)?;
         Ok(best)
+    }
+
+    /// A stretch of a piece that has leaves above `limit` on which the first of them is touched, by halving.
+    fn first_stretch(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Segment, S::Error> {
+        let slack = self.touch_slack(piece, radius);
+        let (mut from, mut to) = (0.0, piece.length());
+        while to - from > STRETCH * (radius + self.grid.resolution()) {
+            let middle = 0.5 * (from + to) + slack;
+            let half = [Segment::new(piece.at(from), piece.at(middle))];
+            if self.any_above(&half, radius + slack, limit)? {
+                to = middle;
+            } else {
+                from = middle - slack;
+            }
+        }
+        Ok(Segment::new(piece.at(from), piece.at(to)))
+    }
+
+    /// Does a leaf above `limit` meet a piece and what is within `radius` of it? True also where no lens can tell.
+    fn any_above(&self, piece: &[Segment; 1], radius: f64, limit: Class) -> Result<bool, S::Error> {
+        let Some(lens) = Lens::capsule(piece, radius, self.grid) else { return Ok(true) };
+        Ok(Largest { lens, largest: limit, top: limit + 1 }.find(self.tree)? > limit)
+    }
+
+    /// What a computed touch may be off by, metres: where a box is grazed, a root of rounding (2^-26) of the sizes involved,
+    /// and the rounding of coordinates.
+    fn touch_slack(&self, piece: &Segment, radius: f64) -> f64 {
+        let resolution = self.grid.resolution();
+        1e-7 * (piece.length() + radius + resolution) + self.grid.cell_slack() * resolution
+    }
+
+    /// A lower bound, but for rounding, of how far along a piece a disc is when it first touches a node: its centre is then
+    /// no farther from the node's than its radius and half the node's diagonal.
+    fn least_along(&self, piece: &Segment, radius: f64, node: NodeAddress) -> f64 {
+        let size = self.grid.node_size(node.depth);
+        let (x, y) = self.grid.origin();
+        let center = (x + (f64::from(node.x) + 0.5) * size, y + (f64::from(node.y) + 0.5) * size);
+        piece.along(center) - radius - size * FRAC_1_SQRT_2
     }
 
     fn inner_witness(&self, leaf: NodeAddress, class: Class, distance: Option<f64>) -> Witness {

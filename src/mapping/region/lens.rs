@@ -230,6 +230,14 @@ impl<'a> Lens<'a> {
         Some(top)
     }
 
+    /// Does a leaf meet the capsule that this is a lens of? By itself, without a descent.
+    pub fn meets(&mut self, leaf: NodeAddress) -> bool {
+        if let Scaled::Path(capsules) = &mut self.shape {
+            capsules.open[usize::from(leaf.depth)] = capsules.all();
+        }
+        self.classify(leaf) == Cover::All
+    }
+
     /// How much of a node the part meets; for a path the node's parent came before it, or it is the part's first.
     pub fn classify(&mut self, node: NodeAddress) -> Cover {
         let levels = self.grid.depth() - node.depth;
