@@ -155,7 +155,7 @@ async fn query(service: &MapService, name: &MapName, scenes: &[Scene], sites: us
 
 fn print_memory(service: &MapService, what: &str) {
     let cache = service.cache();
-    let mib = cache.bytes as f64 / (1 << 20) as f64;
+    let mib = cache.bytes as f64 / f64::from(1 << 20);
     println!(
         "{what}: resident {:.0} MiB, peak {:.0} MiB; blocks {mib:.0} MiB, {} hits, {} loads, {} evictions",
         status_mib("VmRSS"),

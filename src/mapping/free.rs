@@ -114,6 +114,7 @@ struct Query<'a, S: BlockSlot> {
 }
 
 /// How the nodes that a region meets are found.
+#[expect(clippy::large_enum_variant, reason = "one a query, on the stack: a box would cost more than the query")]
 enum Sieve<'a> {
     /// Nearly always.
     Quick(Lens<'a>),

@@ -152,14 +152,17 @@ impl Group {
     }
 }
 
+/// A group's key and content, `None` where it has no block any more.
+type GroupAfter = (Vec<u8>, Option<Vec<u8>>);
+
 impl Records {
-    /// The groups of a commit's blocks as they are after it: key and content, `None` where a group has no block any more.
+    /// The groups of a commit's blocks as they are after it.
     pub(super) fn groups_after(
         &self,
         id: MapId,
         noted: &[Noted],
         codec: &BlockCodec,
-    ) -> Result<Vec<(Vec<u8>, Option<Vec<u8>>)>, StoreError> {
+    ) -> Result<Vec<GroupAfter>, StoreError> {
         let mut groups: BTreeMap<u64, Vec<&Noted>> = BTreeMap::new();
         for noted in noted {
             groups.entry(group_of(noted.address)).or_default().push(noted);

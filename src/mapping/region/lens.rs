@@ -49,6 +49,7 @@ pub struct Lens<'a> {
 }
 
 /// A shape in leaves from the root's min corner.
+#[expect(clippy::large_enum_variant, reason = "one a query, on the stack: a box would cost more than the query")]
 pub(super) enum Scaled<'a> {
     Rectangle { lo: (f64, f64), hi: (f64, f64) },
     Disc { center: (f64, f64), radius: f64, region: &'a Region },

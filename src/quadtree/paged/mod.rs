@@ -33,16 +33,16 @@ impl PagedTree {
 
     /// Puts a stored block of one class at its address; an address outside the root is passed over.
     pub fn place_uniform(&mut self, address: BlockAddress, class: Class) {
-        self.place(address, Node::Uniform(class.clamp(self.scale().free(), self.scale().occupied())));
+        self.place(address, &Node::Uniform(class.clamp(self.scale().free(), self.scale().occupied())));
     }
 
     /// Puts a stored block of mixed classes at its address, not fetched yet.
     pub fn place_stored(&mut self, tag: BlockTag, pager: &Arc<BlockPager>) {
         let cell = BlockCell::absent(tag, pager);
-        self.place(tag.address, Node::Block(PagedBlock::Cell(Arc::new(cell))));
+        self.place(tag.address, &Node::Block(PagedBlock::Cell(Arc::new(cell))));
     }
 
-    fn place(&mut self, address: BlockAddress, new: Node<PagedBlock>) {
+    fn place(&mut self, address: BlockAddress, new: &Node<PagedBlock>) {
         if self.holds(address) {
             // What the step below does cannot fail.
             let _ = self.update(address, &mut |node| {
@@ -119,6 +119,6 @@ fn owned(node: &Node) -> Node<PagedBlock> {
     match node {
         Node::Uniform(class) => Node::Uniform(*class),
         Node::Block(block) => Node::Block(PagedBlock::Own(Arc::clone(block))),
-        Node::Inner(inner) => Node::of_children(inner.children().each_ref().map(|child| owned(child))),
+        Node::Inner(inner) => Node::of_children(inner.children().each_ref().map(owned)),
     }
 }
