@@ -8,7 +8,7 @@
 
 use std::collections::BTreeMap;
 use std::hint::black_box;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use ubbmap::logs::{LogPose, LogReader, PoseError};
 use ubbmap::mapping::{EvidenceRule, MapConfig, Region, RegionLimits, Surveyor, guaranteed_free};
@@ -54,7 +54,7 @@ impl Dice {
     }
 }
 
-fn build(path: &PathBuf, resolution: f64) -> Map {
+fn build(path: &Path, resolution: f64) -> Map {
     let mut log = LogReader::open(path, ScanLimits::default()).expect("the log opens");
     let range_max = log.sensor().range_max.unwrap_or(81.0);
     let sensor = SensorModel::new(SensorSpec { range_max, ..SensorSpec::default() }).expect("a sensor");
