@@ -105,7 +105,11 @@ impl Server {
             requests: limits.requests,
             request_timeout: seconds(limits.request_seconds),
         };
-        let render = Arc::new(move || metrics.render());
+        let counted = service.clone();
+        let render = Arc::new(move || {
+            counted.note_metrics();
+            metrics.render()
+        });
         let router = http::router(service.clone(), settings, draining.clone(), render);
         let failed = |source| AppError::Listen { address: config.listen, source };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
@@ -164,7 +168,8 @@ async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {
         StoreKind::Sled => {
             let directory = config.data_dir.clone();
             // Opening reads and writes files, and a large store takes a while.
-            let opened = tokio::task::spawn_blocking(move || SledStore::open(&directory, SledOptions::default()));
+            let options = SledOptions { cache_bytes: config.cache.page_bytes };
+            let opened = tokio::task::spawn_blocking(move || SledStore::open(&directory, options));
             Ok(Arc::new(opened.await.map_err(|_| AppError::StorePanicked)??))
         }
     }

@@ -18,6 +18,9 @@ const MOST_COUNT: usize = 1 << 28;
 /// Largest number of bytes for scans under way.
 const MOST_BYTES: usize = 1 << 40;
 
+/// Least bytes of a cache.
+const LEAST_CACHE: usize = 1 << 20;
+
 /// Most threads for evidence.
 const MOST_THREADS: usize = 1024;
 
@@ -119,10 +122,16 @@ impl Config {
         ];
         let bytes = (limits.insert_bytes, limits.body_bytes, MOST_BYTES);
         let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
+        let blocks = (self.cache.block_bytes, LEAST_CACHE, MOST_BYTES);
+        let pages = (usize::try_from(self.cache.page_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
-        for (key, (value, least, most)) in
-            ranges.chain([("limits.insert_bytes", bytes), ("writer.evidence_threads", threads)])
-        {
+        let others = [
+            ("limits.insert_bytes", bytes),
+            ("writer.evidence_threads", threads),
+            ("cache.block_bytes", blocks),
+            ("cache.page_bytes", pages),
+        ];
+        for (key, (value, least, most)) in ranges.chain(others) {
             if !(least..=most).contains(&value) {
                 return Err(bad(key, format!("must be between {least} and {most}, got {value}")));
             }

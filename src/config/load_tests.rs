@@ -61,6 +61,7 @@ fn every_setting_of_the_file_is_read() {
             "\"text\"" => "\"json\"",
             "false" => "true",
             "536870912" => "536870913",
+            "1073741824" | "67108864" => "1048576",
             number if number.contains('.') => "1.5",
             _ => "77",
         };

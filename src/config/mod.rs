@@ -10,6 +10,7 @@ mod load_tests;
 use crate::mapping::RegionLimits;
 use crate::sensor::{PoseLimits, ScanLimits};
 use crate::service::ServiceSettings;
+use crate::store::SledOptions;
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -55,6 +56,8 @@ pub struct Config {
     pub log_format: LogFormat,
     /// Limits on what comes from outside.
     pub limits: Limits,
+    /// Memory for maps.
+    pub cache: Cache,
     /// One map's writer.
     pub writer: Writer,
     /// The end of the server.
@@ -105,6 +108,16 @@ pub struct Limits {
     pub header_seconds: f64,
 }
 
+/// Memory for maps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Cache {
+    /// Most bytes of blocks in memory, all maps together.
+    pub block_bytes: usize,
+    /// Bytes of the store's own cache of pages.
+    pub page_bytes: u64,
+}
+
 /// One map's writer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -135,6 +148,7 @@ impl Default for Config {
             log: "info".to_owned(),
             log_format: LogFormat::Text,
             limits: Limits::default(),
+            cache: Cache::default(),
             writer: Writer::default(),
             shutdown: Shutdown::default(),
         }
@@ -164,6 +178,12 @@ impl Default for Limits {
             request_seconds: 30.0,
             header_seconds: 10.0,
         }
+    }
+}
+
+impl Default for Cache {
+    fn default() -> Self {
+        Self { block_bytes: 1 << 30, page_bytes: SledOptions::default().cache_bytes }
     }
 }
 
@@ -201,6 +221,7 @@ impl Config {
             queue_length: self.writer.queue,
             max_scans_per_commit: self.writer.scans_per_commit,
             max_bytes_in_flight: limits.insert_bytes,
+            cache_bytes: self.cache.block_bytes,
             max_concurrent_queries: limits.queries,
             evidence_threads: self.writer.evidence_threads,
         }

@@ -2,9 +2,13 @@
 
 use super::Region;
 use super::outside::{self, Overhang};
-use super::region::{Cover, Probe, Segment, Shape};
+use super::region::{Cover, Lens, Probe, Segment, Shape, smallest_node};
 use crate::interval::Box2;
-use crate::quadtree::{Class, Grid, LeafRange, NodeAddress, OccupancyTree};
+use crate::quadtree::{
+    Block, BlockAddress, BlockSlot, Class, Descent, Grid, LeafRange, NodeAddress, OccupancyTree, Searcher, Tree,
+};
+use std::cell::Cell;
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Why a region is not guaranteed free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -54,23 +58,38 @@ pub struct FreeAnswer {
 /// outside.
 #[must_use]
 pub fn guaranteed_free(tree: &OccupancyTree, grid: &Grid, region: &Region, tolerance: u8) -> FreeAnswer {
+    let Ok(answer) = try_guaranteed_free(tree, grid, region, tolerance);
+    answer
+}
+
+/// [`guaranteed_free`] in a map whose blocks may have to be fetched; only those are that the maxima above them do not
+/// answer for.
+///
+/// # Errors
+/// When such a block cannot be read.
+pub fn try_guaranteed_free<S: BlockSlot>(
+    tree: &Tree<S>,
+    grid: &Grid,
+    region: &Region,
+    tolerance: u8,
+) -> Result<FreeAnswer, S::Error> {
     let unknown = tree.scale().unknown();
     // 0 where no class is low enough: classes start at 1.
     let limit = unknown.saturating_sub(1).saturating_sub(tolerance);
     let query = Query { tree, grid, unknown };
     let overhang = outside::overhang(region, grid);
-    let inside = query.largest_class(region);
+    let inside = query.largest_class(region)?;
     let max_class = if overhang.is_some() { inside.max(unknown) } else { inside };
     if max_class <= limit {
-        return FreeAnswer { free: true, max_class, refusal: None };
+        return Ok(FreeAnswer { free: true, max_class, refusal: None });
     }
     let witness = match region.shape() {
-        Shape::Path { pieces, radius } => query.first_along(pieces, *radius, limit),
-        _ if inside == max_class => query.first_of_class(region, max_class),
+        Shape::Path { pieces, radius } => query.first_along(pieces, *radius, limit)?,
+        _ if inside == max_class => query.first_of_class(region, max_class)?,
         _ => overhang.map(|overhang| query.outer_witness(overhang, None)),
     };
     let refusal = witness.map(|witness| (reason(witness.class, unknown), witness));
-    FreeAnswer { free: false, max_class, refusal }
+    Ok(FreeAnswer { free: false, max_class, refusal })
 }
 
 fn reason(class: Class, unknown: Class) -> Reason {
@@ -81,160 +100,229 @@ fn reason(class: Class, unknown: Class) -> Reason {
     }
 }
 
+/// A stretch of a path so many radii long is searched as it is.
+const STRETCH: f64 = 4.0;
+
+/// How far along a piece a leaf is touched, metres, the leaf and its class.
+type Touch = (f64, NodeAddress, Class);
+
 /// A map as it is asked.
-struct Query<'a> {
-    tree: &'a OccupancyTree,
+struct Query<'a, S: BlockSlot> {
+    tree: &'a Tree<S>,
     grid: &'a Grid,
     unknown: Class,
 }
 
-/// How a walk goes on from a node.
-enum Next {
-    /// Not below this node.
-    Skip,
-    /// Into its children.
-    Into,
-    /// Nowhere: the walk ends.
-    Stop,
+/// How the nodes that a region meets are found.
+#[expect(clippy::large_enum_variant, reason = "one a query, on the stack: a box would cost more than the query")]
+enum Sieve<'a> {
+    /// Nearly always.
+    Quick(Lens<'a>),
+    /// By exact boxes, for what no lens is made for: polygons and regions far from the root.
+    Exact(Probe<'a>, Box2),
 }
 
-/// A walk over the nodes that meet a region, each before its children, in Z-order.
-///
-/// It begins at the smallest node that holds the region. Of each node the place among whole cells is asked first, then
-/// its maximum class, and only then the geometry.
-struct Walk<'a, 'p, W, V> {
-    query: &'a Query<'a>,
-    range: LeafRange,
-    /// Depth of the node at which it began.
-    base: u8,
-    probe: &'a mut Probe<'p>,
-    /// Is anything wanted below a node of this maximum class?
-    wanted: W,
-    visit: V,
-}
-
-impl<W: Fn(Class) -> bool, V: FnMut(NodeAddress, Class, Cover) -> Next> Walk<'_, '_, W, V> {
-    /// Walks a node and what is below; false when the walk was stopped.
-    fn node(&mut self, node: NodeAddress) -> bool {
-        let levels = self.query.tree.depth() - node.depth;
-        if !overlaps(&self.range, node, levels) {
-            return true;
-        }
-        let max = self.query.tree.max_class(node);
-        if !(self.wanted)(max) {
-            return true;
-        }
-        let square = self.query.grid.node_box(node);
-        let next = match self.probe.classify(node.depth - self.base, &square, levels == 0) {
-            Cover::Apart => Next::Skip,
-            cover => (self.visit)(node, max, cover),
-        };
-        match next {
-            Next::Skip => true,
-            Next::Stop => false,
-            Next::Into => {
-                levels == 0
-                    || [(0, 0), (1, 0), (0, 1), (1, 1)].into_iter().all(|(x, y)| {
-                        self.node(NodeAddress { depth: node.depth + 1, x: node.x << 1 | x, y: node.y << 1 | y })
-                    })
-            }
+impl<'a> Sieve<'a> {
+    fn new(region: &'a Region, grid: &'a Grid) -> Self {
+        match Lens::new(region, grid) {
+            Some(lens) => Self::Quick(lens),
+            None => Self::Exact(Probe::new(region), region.bounds()),
         }
     }
 }
 
-impl Query<'_> {
-    /// Walks the nodes that may hold a leaf that meets a region with these bounds.
+impl<S: BlockSlot> Query<'_, S> {
+    /// Visits the nodes that meet a region, each before its children, in Z-order, where anything is `wanted` of their
+    /// maximum class; for a path once for each of its parts.
+    ///
+    /// It begins at the smallest node that holds the region. Of each node the class is asked before the geometry.
     fn walk(
         &self,
-        bounds: &Box2,
-        probe: &mut Probe<'_>,
+        sieve: Sieve<'_>,
         wanted: impl Fn(Class) -> bool,
-        visit: impl FnMut(NodeAddress, Class, Cover) -> Next,
-    ) {
-        let (range, _) = self.grid.leaves_meeting(bounds);
-        if range.is_empty() {
-            return;
+        mut visit: impl FnMut(NodeAddress, Class, Cover) -> Descent,
+    ) -> Result<(), S::Error> {
+        match sieve {
+            Sieve::Quick(mut lens) => {
+                for part in 0..lens.parts() {
+                    let Some(top) = lens.turn_to(part) else { continue };
+                    let ran_through = self.tree.search(top, &mut |node: NodeAddress, max: Class| {
+                        if !wanted(max) {
+                            return Descent::Skip;
+                        }
+                        match lens.classify(node) {
+                            Cover::Apart => Descent::Skip,
+                            cover => visit(node, max, cover),
+                        }
+                    })?;
+                    if !ran_through {
+                        break;
+                    }
+                }
+            }
+            Sieve::Exact(mut probe, bounds) => {
+                let (range, _) = self.grid.leaves_meeting(&bounds);
+                if range.is_empty() {
+                    return Ok(());
+                }
+                let (first, last) = ([range.min_x, range.min_y], [range.max_x - 1, range.max_y - 1]);
+                let top = smallest_node(self.tree.depth(), first, last);
+                self.tree.search(top, &mut |node: NodeAddress, max: Class| {
+                    let levels = self.tree.depth() - node.depth;
+                    if !wanted(max) || !overlaps(&range, node, levels) {
+                        return Descent::Skip;
+                    }
+                    let square = self.grid.node_box(node);
+                    match probe.classify(node.depth - top.depth, &square, levels == 0) {
+                        Cover::Apart => Descent::Skip,
+                        cover => visit(node, max, cover),
+                    }
+                })?;
+            }
         }
-        let (last_x, last_y) = (range.max_x - 1, range.max_y - 1);
-        let differing = (range.min_x ^ last_x) | (range.min_y ^ last_y);
-        let levels = u32::BITS - differing.leading_zeros();
-        let base = self.tree.depth().saturating_sub(levels as u8);
-        let top = NodeAddress { depth: base, x: range.min_x >> levels, y: range.min_y >> levels };
-        Walk { query: self, range, base, probe, wanted, visit }.node(top);
+        Ok(())
     }
 
     /// The largest class of the leaves that meet a region; 0 when none does.
-    fn largest_class(&self, region: &Region) -> Class {
-        let largest = std::cell::Cell::new(0);
+    fn largest_class(&self, region: &Region) -> Result<Class, S::Error> {
+        if let Some(lens) = Lens::new(region, self.grid) {
+            return Largest { lens, largest: 0, top: self.tree.scale().occupied() }.find(self.tree);
+        }
+        let largest = Cell::new(0);
         let top = self.tree.scale().occupied();
         let visit = |_: NodeAddress, max: Class, cover: Cover| {
             if cover == Cover::Some {
-                return Next::Into;
+                return Descent::Into;
             }
             largest.set(max);
-            if max >= top { Next::Stop } else { Next::Skip }
+            if max >= top { Descent::Stop } else { Descent::Skip }
         };
-        self.walk(&region.bounds(), &mut Probe::new(region), |max| max > largest.get(), visit);
-        largest.get()
+        self.walk(Sieve::new(region, self.grid), |max| max > largest.get(), visit)?;
+        Ok(largest.get())
     }
 
     /// The first leaf in Z-order of a class that meets a region, where none of a larger class does.
-    fn first_of_class(&self, region: &Region, class: Class) -> Option<Witness> {
+    fn first_of_class(&self, region: &Region, class: Class) -> Result<Option<Witness>, S::Error> {
         let mut found = None;
         let visit = |node: NodeAddress, max: Class, _: Cover| {
             if node.depth < self.tree.depth() {
-                return Next::Into;
+                return Descent::Into;
             }
             found = Some(self.inner_witness(node, max, None));
-            Next::Stop
+            Descent::Stop
         };
-        self.walk(&region.bounds(), &mut Probe::new(region), |max| max >= class, visit);
-        found
+        self.walk(Sieve::new(region, self.grid), |max| max >= class, visit)?;
+        Ok(found)
     }
 
     /// The first leaf above `limit` that a disc meets on its way along a path.
-    fn first_along(&self, pieces: &[Segment], radius: f64, limit: Class) -> Option<Witness> {
+    fn first_along(&self, pieces: &[Segment], radius: f64, limit: Class) -> Result<Option<Witness>, S::Error> {
         let mut walked = 0.0;
         for piece in pieces {
-            let inner = self.first_on_piece(piece, radius, limit);
+            let inner = self.first_on_piece(piece, radius, limit)?;
             // What is outside is unknown, which no tolerance allows.
             let outer = outside::overhang_along(piece, radius, self.grid);
             match (inner, outer) {
                 (Some((along, leaf, class)), None) => {
-                    return Some(self.inner_witness(leaf, class, Some(walked + along)));
+                    return Ok(Some(self.inner_witness(leaf, class, Some(walked + along))));
                 }
                 (Some((along, leaf, class)), Some((edge, _))) if along <= edge => {
-                    return Some(self.inner_witness(leaf, class, Some(walked + along)));
+                    return Ok(Some(self.inner_witness(leaf, class, Some(walked + along))));
                 }
-                (_, Some((edge, overhang))) => return Some(self.outer_witness(overhang, Some(walked + edge))),
+                (_, Some((edge, overhang))) => return Ok(Some(self.outer_witness(overhang, Some(walked + edge)))),
                 (None, None) => walked += piece.length(),
             }
         }
-        None
+        Ok(None)
     }
 
     /// The leaf above `limit` that a disc touches first on its way along one straight piece, and how far along.
-    fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Option<(f64, NodeAddress, Class)> {
-        let mut best: Option<(f64, NodeAddress, Class)> = None;
-        // What a computed touch may be off by: where a box is grazed, a root of rounding (2^-26) of the sizes involved.
-        let slack = 1e-7 * (piece.length() + radius + self.grid.resolution());
-        let pieces = [*piece];
-        let capsule = Region::capsule(piece, radius);
-        let visit = |node: NodeAddress, max: Class, _: Cover| {
-            let along = piece.first_touch(&self.grid.node_box(node), radius);
-            let is_leaf = node.depth == self.tree.depth();
-            match best {
-                Some((first, ..)) if along > first + slack => Next::Skip,
-                _ if !is_leaf => Next::Into,
-                Some((first, ..)) if along >= first => Next::Skip,
-                _ => {
-                    best = Some((along, node, max));
-                    Next::Skip
-                }
-            }
+    fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Option<Touch>, S::Error> {
+        let whole = [*piece];
+        let Some(mut lens) = Lens::capsule(&whole, radius, self.grid) else {
+            let sieve = Sieve::Exact(Probe::capsule(&whole, radius), Region::capsule(piece, radius));
+            return self.first_in(sieve, piece, radius, limit, |_| true);
         };
-        self.walk(&capsule, &mut Probe::capsule(&pieces, radius), |max| max > limit, visit);
-        best
+        // Most pieces have none, which is known much sooner than the first of some.
+        if !self.any_above(&whole, radius, limit)? {
+            return Ok(None);
+        }
+        let stretch = [self.first_stretch(piece, radius, limit)?];
+        let wide = radius + self.touch_slack(piece, radius);
+        if let Some(near) = Lens::capsule(&stretch, wide, self.grid) {
+            let found = self.first_in(Sieve::Quick(near), piece, radius, limit, |leaf| lens.meets(leaf))?;
+            if found.is_some() {
+                return Ok(found);
+            }
+        }
+        self.first_in(Sieve::Quick(lens), piece, radius, limit, |_| true)
+    }
+
+    /// The first of the leaves above `limit` of a sieve that `meets` lets through.
+    fn first_in(
+        &self,
+        sieve: Sieve<'_>,
+        piece: &Segment,
+        radius: f64,
+        limit: Class,
+        mut meets: impl FnMut(NodeAddress) -> bool,
+    ) -> Result<Option<Touch>, S::Error> {
+        let mut best: Option<Touch> = None;
+        let slack = self.touch_slack(piece, radius);
+        let visit = |node: NodeAddress, max: Class, _: Cover| {
+            let first = best.map(|(first, ..)| first);
+            if first.is_some_and(|first| self.least_along(piece, radius, node) > first + slack) {
+                return Descent::Skip;
+            }
+            if node.depth < self.tree.depth() {
+                return Descent::Into;
+            }
+            let along = piece.first_touch(&self.grid.node_box(node), radius);
+            if first.is_none_or(|first| along < first) && meets(node) {
+                best = Some((along, node, max));
+            }
+            Descent::Skip
+        };
+        self.walk(sieve, |max| max > limit, visit)?;
+        Ok(best)
+    }
+
+    /// A stretch of a piece that has leaves above `limit` on which the first of them is touched, by halving.
+    fn first_stretch(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Segment, S::Error> {
+        let slack = self.touch_slack(piece, radius);
+        let (mut from, mut to) = (0.0, piece.length());
+        while to - from > STRETCH * (radius + self.grid.resolution()) {
+            let middle = 0.5 * (from + to) + slack;
+            let half = [Segment::new(piece.at(from), piece.at(middle))];
+            if self.any_above(&half, radius + slack, limit)? {
+                to = middle;
+            } else {
+                from = middle - slack;
+            }
+        }
+        Ok(Segment::new(piece.at(from), piece.at(to)))
+    }
+
+    /// Does a leaf above `limit` meet a piece and what is within `radius` of it? True also where no lens can tell.
+    fn any_above(&self, piece: &[Segment; 1], radius: f64, limit: Class) -> Result<bool, S::Error> {
+        let Some(lens) = Lens::capsule(piece, radius, self.grid) else { return Ok(true) };
+        Ok(Largest { lens, largest: limit, top: limit + 1 }.find(self.tree)? > limit)
+    }
+
+    /// What a computed touch may be off by, metres: where a box is grazed, a root of rounding (2^-26) of the sizes involved,
+    /// and the rounding of coordinates.
+    fn touch_slack(&self, piece: &Segment, radius: f64) -> f64 {
+        let resolution = self.grid.resolution();
+        1e-7 * (piece.length() + radius + resolution) + self.grid.cell_slack() * resolution
+    }
+
+    /// A lower bound, but for rounding, of how far along a piece a disc is when it first touches a node: its centre is then
+    /// no farther from the node's than its radius and half the node's diagonal.
+    fn least_along(&self, piece: &Segment, radius: f64, node: NodeAddress) -> f64 {
+        let size = self.grid.node_size(node.depth);
+        let (x, y) = self.grid.origin();
+        let center = (x + (f64::from(node.x) + 0.5) * size, y + (f64::from(node.y) + 0.5) * size);
+        piece.along(center) - radius - size * FRAC_1_SQRT_2
     }
 
     fn inner_witness(&self, leaf: NodeAddress, class: Class, distance: Option<f64>) -> Witness {
@@ -248,6 +336,47 @@ impl Query<'_> {
 
     fn outer_witness(&self, overhang: Overhang, distance: Option<f64>) -> Witness {
         Witness { node: None, class: self.unknown, min: overhang.cell_min, size: self.grid.resolution(), distance }
+    }
+}
+
+/// A search for the largest class of the leaves that meet a region: by nodes down to the blocks, by rows within them.
+struct Largest<'a> {
+    lens: Lens<'a>,
+    largest: Class,
+    /// The highest class of the scale.
+    top: Class,
+}
+
+impl Largest<'_> {
+    fn find<S: BlockSlot>(mut self, tree: &Tree<S>) -> Result<Class, S::Error> {
+        for part in 0..self.lens.parts() {
+            let Some(top) = self.lens.turn_to(part) else { continue };
+            if !tree.search(top, &mut self)? {
+                break;
+            }
+        }
+        Ok(self.largest)
+    }
+}
+
+impl Searcher for Largest<'_> {
+    fn node(&mut self, node: NodeAddress, max: Class) -> Descent {
+        if max <= self.largest {
+            return Descent::Skip;
+        }
+        match self.lens.classify(node) {
+            Cover::Apart => Descent::Skip,
+            Cover::Some => Descent::Into,
+            Cover::All => {
+                self.largest = max;
+                if max >= self.top { Descent::Stop } else { Descent::Skip }
+            }
+        }
+    }
+
+    fn block(&mut self, address: BlockAddress, block: &Block) -> Option<bool> {
+        self.largest = self.lens.largest_in(address, block, self.largest);
+        Some(self.largest < self.top)
     }
 }
 

@@ -13,5 +13,5 @@ mod region;
 
 pub use config::{EvidenceRule, MAX_REACH_CELLS, MapConfig, MapConfigError, is_name};
 pub use evidence::{Fault, Surveyor};
-pub use free::{FreeAnswer, Reason, Witness, guaranteed_free};
+pub use free::{FreeAnswer, Reason, Witness, guaranteed_free, try_guaranteed_free};
 pub use region::{MAX_REGION_COORDINATE, Region, RegionError, RegionLimits};

@@ -131,7 +131,7 @@ impl Block {
     }
 
     /// Row `y` of `level`: one maximum a node, all `2^level` of them.
-    pub(super) fn level_row(&self, level: u8, y: u32) -> &[Class] {
+    pub(crate) fn level_row(&self, level: u8, y: u32) -> &[Class] {
         if level >= 6 { &self.rows()[y as usize % 64] } else { self.maxima.row(level, y) }
     }
 

@@ -10,8 +10,11 @@ mod class;
 mod exact;
 mod grid;
 mod masks;
+mod paged;
 mod paving;
 mod reference;
+mod search;
+mod slot;
 mod tree;
 mod walk;
 
@@ -20,7 +23,13 @@ pub use block::Block;
 pub use class::{Class, ClassScale, ClassScaleError};
 pub use grid::{Grid, GridError, MAX_CELL_SLACK, MAX_COORDINATE, MAX_DEPTH, MAX_RESOLUTION, MIN_RESOLUTION};
 pub use masks::{BlockMasks, LeafMasks, RowMask};
+pub use paged::{
+    Access, BlockCache, BlockCell, BlockPager, BlockSource, BlockTag, CacheStatistics, Held, PageError, PagedBlock,
+    PagedTree, SourceError,
+};
 pub use paving::OccupancyPaving;
 pub use reference::{ReferenceNode, ReferenceTree};
-pub use tree::{BlockView, Leaf, OccupancyTree};
+pub use search::Searcher;
+pub use slot::BlockSlot;
+pub use tree::{BlockView, Leaf, OccupancyTree, Tree};
 pub use walk::{Descent, TreeStatistics};

@@ -1,5 +1,6 @@
 //! The k-OQM: a sparse persistent quadtree over blocks.
 
+use super::slot::BlockSlot;
 use super::{BLOCK_LEVELS, Block, BlockAddress, BlockMasks, Class, ClassScale, LeafMasks, NodeAddress, RowMask};
 use std::sync::Arc;
 
@@ -23,59 +24,69 @@ pub enum BlockView {
 
 /// A k-class occupancy quadtree map. `clone` is cheap and shares blocks.
 ///
-/// Two trees are equal when they have the same depth, scale and leaves: there is one form for each map.
+/// `S` is how the blocks are held: [`OccupancyTree`] has all of them in memory and its reads cannot fail;
+/// [`super::PagedTree`] fetches them when they are looked into. What is a method of the one is, with a `Result`, a
+/// method `try_..` of both.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct OccupancyTree {
+pub struct Tree<S: BlockSlot> {
     depth: u8,
     scale: ClassScale,
-    root: Node,
+    root: Node<S>,
+    access: S::Access,
 }
+
+/// A map that is in memory as a whole.
+///
+/// Two trees are equal when they have the same depth, scale and leaves: there is one form for each map.
+pub type OccupancyTree = Tree<Arc<Block>>;
 
 /// A node at or above the level of blocks. In a tree of depth below 6 the root itself is at the level of blocks.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Node {
+pub(super) enum Node<S = Arc<Block>> {
     /// All leaves below have this class.
     Uniform(Class),
     /// Above the level of blocks; children not all uniform of one class.
-    Inner(Arc<Inner>),
+    Inner(Arc<Inner<S>>),
     /// At the level of blocks; not of one class. Leaves that do not exist (depth below 6) have the lowest class, which
     /// changes no maximum.
-    Block(Arc<Block>),
+    Block(S),
 }
 
 /// Four children in Z-order, `x + 2 y`, and the maximum class of each.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Inner {
+pub(super) struct Inner<S> {
     maxima: [Class; 4],
-    children: [Node; 4],
+    children: [Node<S>; 4],
 }
 
-impl Inner {
+impl<S> Inner<S> {
     pub(super) fn max(&self) -> Class {
         self.maxima.iter().copied().fold(0, Class::max)
     }
 
-    pub(super) fn children(&self) -> &[Node; 4] {
+    pub(super) fn maxima(&self) -> &[Class; 4] {
+        &self.maxima
+    }
+
+    pub(super) fn children(&self) -> &[Node<S>; 4] {
         &self.children
     }
 }
 
-impl Node {
+impl<S: BlockSlot> Node<S> {
     pub(super) fn max(&self) -> Class {
         match self {
             Self::Uniform(class) => *class,
             Self::Inner(inner) => inner.max(),
-            Self::Block(block) => block.max_at(0, 0, 0),
+            Self::Block(slot) => slot.max(),
         }
     }
 
     /// A node of four children: merged where they are uniform of one class.
     pub(super) fn of_children(children: [Self; 4]) -> Self {
-        match &children {
-            [Self::Uniform(a), Self::Uniform(b), Self::Uniform(c), Self::Uniform(d)] if a == b && a == c && a == d => {
-                Self::Uniform(*a)
-            }
-            _ => Self::Inner(Arc::new(Inner { maxima: children.each_ref().map(Self::max), children })),
+        match one_class(&children) {
+            Some(class) => Self::Uniform(class),
+            None => Self::Inner(Arc::new(Inner { maxima: children.each_ref().map(Self::max), children })),
         }
     }
 
@@ -83,9 +94,25 @@ impl Node {
     pub(super) fn of_block(block: Arc<Block>, depth: u8) -> Self {
         match block.node_uniform(root_level(depth)) {
             Some(class) => Self::Uniform(class),
-            None => Self::Block(block),
+            None => Self::Block(block.into()),
         }
     }
+
+    /// The node that holds a block's leaves, below this one `levels` above the blocks.
+    fn towards(&self, address: BlockAddress, levels: u8) -> &Self {
+        let mut node = self;
+        for levels in (1..=levels).rev() {
+            let Self::Inner(inner) = node else { break };
+            node = &inner.children[child_towards(address, levels)];
+        }
+        node
+    }
+}
+
+/// The class of four nodes that are uniform of one class.
+fn one_class<S>(children: &[Node<S>; 4]) -> Option<Class> {
+    let Node::Uniform(first) = children[0] else { return None };
+    children.iter().all(|child| matches!(child, Node::Uniform(class) if *class == first)).then_some(first)
 }
 
 /// The level within a block at which a tree of `depth` begins: 0 unless the whole tree is smaller than a block.
@@ -99,9 +126,17 @@ fn child_towards(address: BlockAddress, levels: u8) -> usize {
     ((address.x >> bit & 1) | (address.y >> bit & 1) << 1) as usize
 }
 
-/// Changes the node of one block below `node`, which is `levels` above the blocks. `step` changes the block's node and
-/// tells whether it did; where it did not, nothing above is copied, split or merged.
-fn update(node: &mut Node, levels: u8, address: BlockAddress, step: &mut dyn FnMut(&mut Node) -> bool) -> bool {
+/// What changes the node of one block, and tells whether it did.
+type Step<'a, S> = dyn FnMut(&mut Node<S>) -> Result<bool, <S as BlockSlot>::Error> + 'a;
+
+/// Changes the node of one block below `node`, which is `levels` above the blocks. Where `step` changes nothing, nothing
+/// above is copied, split or merged.
+fn update<S: BlockSlot>(
+    node: &mut Node<S>,
+    levels: u8,
+    address: BlockAddress,
+    step: &mut Step<'_, S>,
+) -> Result<bool, S::Error> {
     if levels == 0 {
         return step(node);
     }
@@ -110,8 +145,8 @@ fn update(node: &mut Node, levels: u8, address: BlockAddress, step: &mut dyn FnM
         Node::Uniform(class) => {
             let class = *class;
             let mut child = Node::Uniform(class);
-            if !update(&mut child, levels - 1, address, step) {
-                return false;
+            if !update(&mut child, levels - 1, address, step)? {
+                return Ok(false);
             }
             let mut children = [const { Node::Uniform(0) }; 4];
             children.fill(Node::Uniform(class));
@@ -120,18 +155,18 @@ fn update(node: &mut Node, levels: u8, address: BlockAddress, step: &mut dyn FnM
         }
         Node::Inner(shared) => match Arc::get_mut(shared) {
             Some(inner) => {
-                if !update(&mut inner.children[index], levels - 1, address, step) {
-                    return false;
+                if !update(&mut inner.children[index], levels - 1, address, step)? {
+                    return Ok(false);
                 }
                 inner.maxima[index] = inner.children[index].max();
-                if let Some(class) = merged(inner) {
+                if let Some(class) = one_class(&inner.children) {
                     *node = Node::Uniform(class);
                 }
             }
             None => {
                 let mut child = shared.children[index].clone();
-                if !update(&mut child, levels - 1, address, step) {
-                    return false;
+                if !update(&mut child, levels - 1, address, step)? {
+                    return Ok(false);
                 }
                 let mut children = shared.children.clone();
                 children[index] = child;
@@ -139,29 +174,33 @@ fn update(node: &mut Node, levels: u8, address: BlockAddress, step: &mut dyn FnM
             }
         },
         // Blocks stand at level 0 alone.
-        Node::Block(_) => return false,
+        Node::Block(_) => return Ok(false),
     }
-    true
+    Ok(true)
 }
 
-fn merged(inner: &Inner) -> Option<Class> {
-    let Node::Uniform(first) = inner.children[0] else { return None };
-    inner.children.iter().all(|child| *child == Node::Uniform(first)).then_some(first)
-}
-
-impl OccupancyTree {
+impl<S: BlockSlot> Tree<S> {
     /// One root node of class unknown; `depth` in `1..=24` (checked by [`super::Grid`]).
     #[must_use]
     pub fn new(depth: u8, scale: ClassScale) -> Self {
-        Self { depth, scale, root: Node::Uniform(scale.unknown()) }
+        Self::from_root(depth, scale, Node::Uniform(scale.unknown()))
     }
 
-    pub(super) fn from_root(depth: u8, scale: ClassScale, root: Node) -> Self {
-        Self { depth, scale, root }
+    pub(super) fn from_root(depth: u8, scale: ClassScale, root: Node<S>) -> Self {
+        Self { depth, scale, root, access: S::Access::default() }
     }
 
-    pub(super) fn root(&self) -> &Node {
+    pub(super) fn root(&self) -> &Node<S> {
         &self.root
+    }
+
+    pub(super) fn access(&self) -> S::Access {
+        self.access
+    }
+
+    /// The same map, its blocks read in another way.
+    pub(super) fn with_access(&self, access: S::Access) -> Self {
+        Self { root: self.root.clone(), access, ..*self }
     }
 
     /// Depth of the smallest cells.
@@ -181,43 +220,103 @@ impl OccupancyTree {
         self.depth.saturating_sub(BLOCK_LEVELS)
     }
 
-    fn holds(&self, address: BlockAddress) -> bool {
+    pub(super) fn holds(&self, address: BlockAddress) -> bool {
         let side = 1_u32 << self.levels();
         address.x < side && address.y < side
     }
 
+    /// The node that holds the leaves of a block within the root.
+    pub(super) fn node_of(&self, address: BlockAddress) -> &Node<S> {
+        self.root.towards(address, self.levels())
+    }
+
+    /// Changes the node of one block within the root.
+    pub(super) fn update(&mut self, address: BlockAddress, step: &mut Step<'_, S>) -> Result<bool, S::Error> {
+        let levels = self.levels();
+        update(&mut self.root, levels, address, step)
+    }
+
     /// Applies one scan's evidence; adds the addresses of the blocks whose classes changed to `changed` (a block may
     /// come more than once over several calls). Leaves outside the root are passed over.
-    pub fn apply(&mut self, masks: &LeafMasks, changed: &mut Vec<BlockAddress>) {
-        let (levels, depth, scale) = (self.levels(), self.depth, self.scale);
+    ///
+    /// # Errors
+    /// When a block cannot be read: a part of the evidence may be applied then.
+    pub fn try_apply(&mut self, masks: &LeafMasks, changed: &mut Vec<BlockAddress>) -> Result<(), S::Error> {
+        let (depth, scale) = (self.depth, self.scale);
         for (address, masks) in &masks.blocks {
             if !self.holds(*address) {
                 continue;
             }
             let clipped = if depth < BLOCK_LEVELS { Some(clip(masks, depth)) } else { None };
             let masks = clipped.as_ref().unwrap_or(masks);
-            if update(&mut self.root, levels, *address, &mut |node| step(node, masks, depth, scale)) {
+            if self.update(*address, &mut |node| step(node, masks, depth, scale))? {
                 changed.push(*address);
             }
         }
+        Ok(())
+    }
+
+    /// What stands at a block's address; outside the root: unknown.
+    ///
+    /// # Errors
+    /// When the block cannot be read.
+    pub fn try_block(&self, address: BlockAddress) -> Result<BlockView, S::Error> {
+        if !self.holds(address) {
+            return Ok(BlockView::Uniform(self.scale.unknown()));
+        }
+        Ok(match self.node_of(address) {
+            Node::Block(slot) => BlockView::Mixed(slot.share(self.access)?),
+            other => BlockView::Uniform(other.max()),
+        })
+    }
+
+    /// The maximum class below a node (its class, where it is a leaf); deeper than the leaves: the leaf's class.
+    /// Outside the root: unknown.
+    ///
+    /// # Errors
+    /// When the node lies within a block that cannot be read.
+    pub fn try_max_class(&self, node: NodeAddress) -> Result<Class, S::Error> {
+        let deeper = u32::from(node.depth.saturating_sub(self.depth));
+        let depth = node.depth.min(self.depth);
+        let (x, y) = (node.x.checked_shr(deeper).unwrap_or(0), node.y.checked_shr(deeper).unwrap_or(0));
+        if x >> depth != 0 || y >> depth != 0 {
+            return Ok(self.scale.unknown());
+        }
+        let mut current = &self.root;
+        for level in 0..depth {
+            let Node::Inner(inner) = current else { break };
+            let bit = depth - level - 1;
+            current = &inner.children[((x >> bit & 1) | (y >> bit & 1) << 1) as usize];
+        }
+        match current {
+            Node::Block(slot) if depth > self.levels() => {
+                Ok(slot.read(self.access)?.max_at(depth + root_level(self.depth) - self.levels(), x, y))
+            }
+            other => Ok(other.max()),
+        }
+    }
+}
+
+impl OccupancyTree {
+    /// Applies one scan's evidence; adds the addresses of the blocks whose classes changed to `changed` (a block may
+    /// come more than once over several calls). Leaves outside the root are passed over.
+    pub fn apply(&mut self, masks: &LeafMasks, changed: &mut Vec<BlockAddress>) {
+        let Ok(()) = self.try_apply(masks, changed);
     }
 
     /// What stands at a block's address; outside the root: unknown.
     #[must_use]
     pub fn block(&self, address: BlockAddress) -> BlockView {
-        if !self.holds(address) {
-            return BlockView::Uniform(self.scale.unknown());
-        }
-        let mut node = &self.root;
-        for levels in (1..=self.levels()).rev() {
-            let Node::Inner(inner) = node else { break };
-            node = &inner.children[child_towards(address, levels)];
-        }
-        match node {
-            Node::Uniform(class) => BlockView::Uniform(*class),
-            Node::Inner(inner) => BlockView::Uniform(inner.max()),
-            Node::Block(block) => BlockView::Mixed(Arc::clone(block)),
-        }
+        let Ok(view) = self.try_block(address);
+        view
+    }
+
+    /// The maximum class below a node (its class, where it is a leaf); deeper than the leaves: the leaf's class.
+    /// Outside the root: unknown.
+    #[must_use]
+    pub fn max_class(&self, node: NodeAddress) -> Class {
+        let Ok(class) = self.try_max_class(node);
+        class
     }
 
     /// Replaces a block; a mixed block of one class is stored as uniform, equal siblings merge.
@@ -231,13 +330,12 @@ impl OccupancyTree {
             BlockView::Uniform(class) => Node::Uniform(class.clamp(self.scale.free(), self.scale.occupied())),
             BlockView::Mixed(block) => Node::of_block(self.fitted(block), self.depth),
         };
-        let levels = self.levels();
-        update(&mut self.root, levels, address, &mut |node| {
+        let Ok(_) = self.update(address, &mut |node| {
             let differs = *node != new;
             if differs {
                 *node = new.clone();
             }
-            differs
+            Ok(differs)
         });
     }
 
@@ -258,70 +356,37 @@ impl OccupancyTree {
         }
         Arc::new(Block::from_leaves(leaves))
     }
-
-    /// The maximum class below a node (its class, where it is a leaf); deeper than the leaves: the leaf's class.
-    /// Outside the root: unknown.
-    #[must_use]
-    pub fn max_class(&self, node: NodeAddress) -> Class {
-        let deeper = u32::from(node.depth.saturating_sub(self.depth));
-        let depth = node.depth.min(self.depth);
-        let (x, y) = (node.x.checked_shr(deeper).unwrap_or(0), node.y.checked_shr(deeper).unwrap_or(0));
-        if x >> depth != 0 || y >> depth != 0 {
-            return self.scale.unknown();
-        }
-        let mut current = &self.root;
-        for level in 0..depth {
-            let Node::Inner(inner) = current else { break };
-            let bit = depth - level - 1;
-            current = &inner.children[((x >> bit & 1) | (y >> bit & 1) << 1) as usize];
-        }
-        match current {
-            Node::Block(block) => block.max_at(depth + root_level(self.depth) - self.levels(), x, y),
-            other => other.max(),
-        }
-    }
 }
 
 /// Steps the node of one block; returns whether a class changed. `masks` names leaves that exist only, or all.
-fn step(node: &mut Node, masks: &BlockMasks, depth: u8, scale: ClassScale) -> bool {
+fn step<S: BlockSlot>(node: &mut Node<S>, masks: &BlockMasks, depth: u8, scale: ClassScale) -> Result<bool, S::Error> {
     match (&mut *node, masks) {
         (Node::Uniform(class), BlockMasks::AllEmpty) => {
             let new = scale.step(*class, false, true);
             let changed = new != *class;
             *class = new;
-            changed
+            Ok(changed)
         }
         (Node::Uniform(class), BlockMasks::Some { occupied, empty }) => {
             let rises = scale.step(*class, true, false) != *class && occupied.iter().any(|row| *row != 0);
             let falls =
                 scale.step(*class, false, true) != *class && empty.iter().zip(&**occupied).any(|(e, o)| e & !o != 0);
             if !rises && !falls {
-                return false;
+                return Ok(false);
             }
             let mut block = existing(*class, depth, scale);
             block.apply(occupied, empty, scale);
             *node = Node::of_block(Arc::new(block), depth);
-            true
+            Ok(true)
         }
-        (Node::Block(block), masks) => {
-            let changed = step_block(block, masks, scale);
-            if changed && let Some(class) = block.node_uniform(root_level(depth)) {
+        (Node::Block(slot), masks) => {
+            let Some(block) = slot.step(masks, scale)? else { return Ok(false) };
+            if let Some(class) = block.node_uniform(root_level(depth)) {
                 *node = Node::Uniform(class);
             }
-            changed
+            Ok(true)
         }
-        (Node::Inner(_), _) => false,
-    }
-}
-
-/// Steps a block, copied first where it is shared and would change.
-fn step_block(block: &mut Arc<Block>, masks: &BlockMasks, scale: ClassScale) -> bool {
-    match masks {
-        BlockMasks::AllEmpty => Arc::make_mut(block).apply_all_empty(scale),
-        BlockMasks::Some { occupied, empty } => match Arc::get_mut(block) {
-            Some(own) => own.apply(occupied, empty, scale),
-            None => block.would_change(occupied, empty, scale) && Arc::make_mut(block).apply(occupied, empty, scale),
-        },
+        (Node::Inner(_), _) => Ok(false),
     }
 }
 

@@ -1,9 +1,14 @@
 //! Reading a tree: visits in Z-order, rasters and counts.
 
 use super::block::Levels;
-use super::tree::{Inner, Node, root_level};
+use super::slot::BlockSlot;
+use super::tree::{Inner, Node, Tree, root_level};
 use super::{BLOCK_LEVELS, Block, BlockAddress, BlockView, Class, Leaf, LeafRange, NodeAddress, OccupancyTree};
 use std::sync::Arc;
+
+/// The deepest level of a block down to which single nodes are looked at for being of one class; a visit that goes
+/// deeper takes the minima of the whole block.
+const SINGLE_LEVELS: u8 = 3;
 
 /// How a visit goes on from a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,35 +38,8 @@ pub struct TreeStatistics {
     pub memory_bytes: u64,
 }
 
-/// A node while it is visited.
-#[derive(Clone, Copy)]
-enum Place<'a> {
-    Uniform(Class),
-    Inner(&'a Inner),
-    /// The node at a level of a block, with the block's minima once it is entered.
-    Block(&'a Block, u8, Option<&'a Levels>),
-}
-
-impl<'a> Place<'a> {
-    fn of(node: &'a Node, depth: u8) -> Self {
-        match node {
-            Node::Uniform(class) => Self::Uniform(*class),
-            Node::Inner(inner) => Self::Inner(inner),
-            Node::Block(block) => Self::Block(block, root_level(depth), None),
-        }
-    }
-
-    fn max(self, at: NodeAddress) -> Class {
-        match self {
-            Self::Uniform(class) => class,
-            Self::Inner(inner) => inner.max(),
-            Self::Block(block, level, _) => block.max_at(level, at.x, at.y),
-        }
-    }
-}
-
 /// The four children of a node in Z-order.
-fn children_of(node: NodeAddress) -> [NodeAddress; 4] {
+pub(super) fn children_of(node: NodeAddress) -> [NodeAddress; 4] {
     let (depth, x, y) = (node.depth + 1, node.x << 1, node.y << 1);
     [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| NodeAddress { depth, x: x | dx, y: y | dy })
 }
@@ -72,25 +50,41 @@ fn cells_of(node: NodeAddress, depth: u8) -> [(u64, u64); 2] {
     [node.x, node.y].map(|i| (u64::from(i) << shift, (u64::from(i) + 1) << shift))
 }
 
-impl OccupancyTree {
+/// The root of every tree.
+const ROOT: NodeAddress = NodeAddress { depth: 0, x: 0, y: 0 };
+
+/// Is told a node, the maximum class below it and whether it is a leaf.
+type Visitor<'a> = dyn FnMut(NodeAddress, Class, bool) -> Descent + 'a;
+
+impl<S: BlockSlot> Tree<S> {
     /// Visits nodes from the root down, each before its children, children in Z-order. The visitor is told the node, the
     /// maximum class below it and whether it is a leaf, and answers how to go on. Returns `false` when it was stopped.
     ///
     /// Below a leaf above the smallest cells, [`Descent::Into`] goes on into the parts of it as if it were split: all of
     /// its class and all leaves.
-    pub fn descend(&self, visitor: &mut dyn FnMut(NodeAddress, Class, bool) -> Descent) -> bool {
-        let root = NodeAddress { depth: 0, x: 0, y: 0 };
-        descend(Place::of(self.root(), self.depth()), root, self.depth(), visitor)
+    ///
+    /// # Errors
+    /// When a block that is entered cannot be read.
+    pub fn try_descend(&self, visitor: &mut Visitor<'_>) -> Result<bool, S::Error> {
+        Visit { tree: self, deepest: self.depth(), visitor }.node(self.root(), ROOT)
     }
 
     /// Visits the leaves of the tree read down to `depth` that meet `range` (in smallest cells), in Z-order, until the
     /// visitor returns `false`. Returns `false` when it was stopped.
-    pub fn visit_leaves(&self, range: &LeafRange, depth: u8, visitor: &mut dyn FnMut(Leaf) -> bool) -> bool {
+    ///
+    /// # Errors
+    /// When a block that is entered cannot be read.
+    pub fn try_visit_leaves(
+        &self,
+        range: &LeafRange,
+        depth: u8,
+        visitor: &mut dyn FnMut(Leaf) -> bool,
+    ) -> Result<bool, S::Error> {
         if range.is_empty() {
-            return true;
+            return Ok(true);
         }
-        let last = depth.min(self.depth());
-        self.descend(&mut |node, class, is_leaf| {
+        let deepest = depth.min(self.depth());
+        let visitor = &mut |node: NodeAddress, class: Class, is_leaf: bool| {
             let [(min_x, max_x), (min_y, max_y)] = cells_of(node, self.depth());
             let apart = max_x <= u64::from(range.min_x)
                 || min_x >= u64::from(range.max_x)
@@ -98,23 +92,26 @@ impl OccupancyTree {
                 || min_y >= u64::from(range.max_y);
             if apart {
                 Descent::Skip
-            } else if !is_leaf && node.depth < last {
+            } else if !is_leaf && node.depth < deepest {
                 Descent::Into
             } else if visitor(Leaf { node, class }) {
                 Descent::Skip
             } else {
                 Descent::Stop
             }
-        })
+        };
+        Visit { tree: self, deepest, visitor }.node(self.root(), ROOT)
     }
 
     /// Maximum classes of the nodes at `depth` with columns `range.min_x..max_x` and rows `range.min_y..max_y` (in
     /// nodes of that depth), row-major from the lowest row; unknown outside the root. A `depth` beyond the tree's counts
     /// as the tree's. One byte a node is allocated: the caller limits the range.
-    #[must_use]
-    pub fn raster(&self, range: &LeafRange, depth: u8) -> Vec<Class> {
+    ///
+    /// # Errors
+    /// When a block that is entered cannot be read; none is where `depth` is above the blocks.
+    pub fn try_raster(&self, range: &LeafRange, depth: u8) -> Result<Vec<Class>, S::Error> {
         if range.is_empty() {
-            return Vec::new();
+            return Ok(Vec::new());
         }
         let (width, height) = ((range.max_x - range.min_x) as usize, (range.max_y - range.min_y) as usize);
         let mut raster = Raster {
@@ -123,13 +120,75 @@ impl OccupancyTree {
             range: *range,
             depth: depth.min(self.depth()),
         };
-        raster.draw(Place::of(self.root(), self.depth()), NodeAddress { depth: 0, x: 0, y: 0 });
-        raster.classes
+        raster.draw(self, self.root(), ROOT)?;
+        Ok(raster.classes)
+    }
+
+    /// Every block that is not of class unknown throughout, in Z-order.
+    ///
+    /// # Errors
+    /// When a block cannot be read.
+    pub fn try_visit_blocks(&self, visitor: &mut dyn FnMut(BlockAddress, &BlockView)) -> Result<(), S::Error> {
+        self.visit_blocks_below(self.root(), self.levels(), BlockAddress { x: 0, y: 0 }, visitor)
+    }
+
+    fn visit_blocks_below(
+        &self,
+        node: &Node<S>,
+        levels: u8,
+        address: BlockAddress,
+        visitor: &mut dyn FnMut(BlockAddress, &BlockView),
+    ) -> Result<(), S::Error> {
+        let child = |index: u32| BlockAddress { x: address.x << 1 | index & 1, y: address.y << 1 | index >> 1 };
+        match node {
+            Node::Uniform(class) if *class == self.scale().unknown() => {}
+            Node::Uniform(class) if levels == 0 => visitor(address, &BlockView::Uniform(*class)),
+            Node::Uniform(_) => {
+                for index in 0..4 {
+                    self.visit_blocks_below(node, levels - 1, child(index), visitor)?;
+                }
+            }
+            Node::Block(slot) => visitor(address, &BlockView::Mixed(slot.share(self.access())?)),
+            Node::Inner(inner) => {
+                for (below, index) in inner.children().iter().zip(0..4) {
+                    self.visit_blocks_below(below, levels - 1, child(index), visitor)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl OccupancyTree {
+    /// Visits nodes from the root down, each before its children, children in Z-order. The visitor is told the node, the
+    /// maximum class below it and whether it is a leaf, and answers how to go on. Returns `false` when it was stopped.
+    ///
+    /// Below a leaf above the smallest cells, [`Descent::Into`] goes on into the parts of it as if it were split: all of
+    /// its class and all leaves.
+    pub fn descend(&self, visitor: &mut dyn FnMut(NodeAddress, Class, bool) -> Descent) -> bool {
+        let Ok(ran_through) = self.try_descend(visitor);
+        ran_through
+    }
+
+    /// Visits the leaves of the tree read down to `depth` that meet `range` (in smallest cells), in Z-order, until the
+    /// visitor returns `false`. Returns `false` when it was stopped.
+    pub fn visit_leaves(&self, range: &LeafRange, depth: u8, visitor: &mut dyn FnMut(Leaf) -> bool) -> bool {
+        let Ok(ran_through) = self.try_visit_leaves(range, depth, visitor);
+        ran_through
+    }
+
+    /// Maximum classes of the nodes at `depth` with columns `range.min_x..max_x` and rows `range.min_y..max_y` (in
+    /// nodes of that depth), row-major from the lowest row; unknown outside the root. A `depth` beyond the tree's counts
+    /// as the tree's. One byte a node is allocated: the caller limits the range.
+    #[must_use]
+    pub fn raster(&self, range: &LeafRange, depth: u8) -> Vec<Class> {
+        let Ok(classes) = self.try_raster(range, depth);
+        classes
     }
 
     /// Every block that is not of class unknown throughout, in Z-order.
     pub fn visit_blocks(&self, visitor: &mut dyn FnMut(BlockAddress, &BlockView)) {
-        visit_blocks(self.root(), self.levels(), BlockAddress { x: 0, y: 0 }, self.scale().unknown(), visitor);
+        let Ok(()) = self.try_visit_blocks(visitor);
     }
 
     /// Counts nodes, leaves and cells, in time proportional to the number of nodes.
@@ -151,65 +210,91 @@ impl OccupancyTree {
     }
 }
 
-fn descend(
-    place: Place<'_>,
-    node: NodeAddress,
-    last: u8,
-    visitor: &mut dyn FnMut(NodeAddress, Class, bool) -> Descent,
-) -> bool {
-    let class = place.max(node);
-    let is_leaf = match place {
-        Place::Uniform(_) => true,
-        Place::Inner(_) => false,
-        Place::Block(_, level, minima) => {
-            level >= BLOCK_LEVELS || minima.is_some_and(|minima| minima.at(level, node.x, node.y) == class)
+/// A visit of nodes from the root down.
+struct Visit<'a, 'v, S: BlockSlot> {
+    tree: &'a Tree<S>,
+    /// Below this depth the visitor does not go; at it, whether a node is a leaf is not looked at.
+    deepest: u8,
+    visitor: &'a mut Visitor<'v>,
+}
+
+/// A block that is entered, with its minima where they are worth their cost.
+struct Entered<'a> {
+    block: &'a Block,
+    minima: Option<Levels>,
+}
+
+impl<S: BlockSlot> Visit<'_, '_, S> {
+    /// Visits a node and what is below it; false when the visit was stopped.
+    fn node(&mut self, node: &Node<S>, at: NodeAddress) -> Result<bool, S::Error> {
+        match (self.visitor)(at, node.max(), matches!(node, Node::Uniform(_))) {
+            Descent::Stop => return Ok(false),
+            Descent::Into if at.depth < self.tree.depth() => {}
+            Descent::Skip | Descent::Into => return Ok(true),
         }
-    };
-    match visitor(node, class, is_leaf) {
-        Descent::Stop => return false,
-        Descent::Skip => return true,
-        Descent::Into if node.depth >= last => return true,
-        Descent::Into => {}
+        match node {
+            Node::Uniform(class) => Ok(self.parts(*class, at)),
+            Node::Inner(inner) => {
+                for (child, below) in children_of(at).into_iter().zip(inner.children()) {
+                    if !self.node(below, child)? {
+                        return Ok(false);
+                    }
+                }
+                Ok(true)
+            }
+            Node::Block(slot) => {
+                let block = slot.read(self.tree.access())?;
+                let level = root_level(self.tree.depth());
+                let deepest = level + self.deepest.saturating_sub(at.depth);
+                let minima = (deepest > SINGLE_LEVELS).then(|| block.minima());
+                let entered = Entered { block: &block, minima };
+                Ok(children_of(at).into_iter().all(|child| self.within(&entered, level + 1, child)))
+            }
+        }
     }
-    let children = children_of(node).into_iter();
-    match place {
-        Place::Uniform(_) => children.into_iter().all(|child| descend(place, child, last, visitor)),
-        Place::Block(..) if is_leaf => {
-            children.into_iter().all(|child| descend(Place::Uniform(class), child, last, visitor))
-        }
-        Place::Inner(inner) => {
-            children.zip(inner.children()).all(|(child, below)| descend(Place::of(below, last), child, last, visitor))
-        }
-        Place::Block(block, level, Some(minima)) => children
-            .into_iter()
-            .all(|child| descend(Place::Block(block, level + 1, Some(minima)), child, last, visitor)),
-        Place::Block(block, level, None) => {
-            let minima = block.minima();
-            children
-                .into_iter()
-                .all(|child| descend(Place::Block(block, level + 1, Some(&minima)), child, last, visitor))
+
+    /// The parts of a leaf.
+    fn parts(&mut self, class: Class, at: NodeAddress) -> bool {
+        at.depth >= self.tree.depth()
+            || children_of(at).into_iter().all(|child| match (self.visitor)(child, class, true) {
+                Descent::Stop => false,
+                Descent::Skip => true,
+                Descent::Into => self.parts(class, child),
+            })
+    }
+
+    /// A node at a level of a block below its first.
+    fn within(&mut self, entered: &Entered<'_>, level: u8, at: NodeAddress) -> bool {
+        let class = entered.block.max_at(level, at.x, at.y);
+        let is_leaf = level >= BLOCK_LEVELS || (at.depth < self.deepest && entered.is_uniform(level, at, class));
+        match (self.visitor)(at, class, is_leaf) {
+            Descent::Stop => false,
+            Descent::Into if at.depth < self.tree.depth() => {
+                if is_leaf {
+                    return self.parts(class, at);
+                }
+                children_of(at).into_iter().all(|child| self.within(entered, level + 1, child))
+            }
+            Descent::Skip | Descent::Into => true,
         }
     }
 }
 
-fn visit_blocks(
-    node: &Node,
-    levels: u8,
-    address: BlockAddress,
-    unknown: Class,
-    visitor: &mut dyn FnMut(BlockAddress, &BlockView),
-) {
-    let child = |index: u32| BlockAddress { x: address.x << 1 | index & 1, y: address.y << 1 | index >> 1 };
-    match node {
-        Node::Uniform(class) if *class == unknown => {}
-        Node::Uniform(class) if levels == 0 => visitor(address, &BlockView::Uniform(*class)),
-        Node::Uniform(_) => (0..4).for_each(|i| visit_blocks(node, levels - 1, child(i), unknown, visitor)),
-        Node::Block(block) => visitor(address, &BlockView::Mixed(Arc::clone(block))),
-        Node::Inner(inner) => {
-            for (below, index) in inner.children().iter().zip(0..4) {
-                visit_blocks(below, levels - 1, child(index), unknown, visitor);
-            }
+impl Entered<'_> {
+    /// Are all leaves below a node of this maximum of one class?
+    fn is_uniform(&self, level: u8, at: NodeAddress, class: Class) -> bool {
+        if let Some(minima) = &self.minima {
+            return minima.at(level, at.x, at.y) == class;
         }
+        let expected = [class; 64];
+        let (x, y) = (at.x % (1 << level), at.y % (1 << level));
+        // The nodes one level below tell most mixed ones at once.
+        [level + 1, BLOCK_LEVELS].into_iter().all(|below| {
+            let side = 1_u32 << (below - level);
+            let columns = (x * side) as usize..((x + 1) * side) as usize;
+            let expected = &expected[..columns.len()];
+            (y * side..(y + 1) * side).all(|row| self.block.level_row(below, row)[columns.clone()] == *expected)
+        })
     }
 }
 
@@ -239,25 +324,20 @@ impl Raster {
         &mut self.classes[start..start + self.width][columns]
     }
 
-    fn draw(&mut self, place: Place<'_>, node: NodeAddress) {
-        let common = self.common(node);
+    fn draw<S: BlockSlot>(&mut self, tree: &Tree<S>, node: &Node<S>, at: NodeAddress) -> Result<(), S::Error> {
+        let common = self.common(at);
         if common.is_empty() {
-            return;
+            return Ok(());
         }
-        match place {
-            Place::Inner(inner) if node.depth < self.depth => {
-                for (child, below) in children_of(node).into_iter().zip(inner.children()) {
-                    // Below the blocks' own level nothing is drawn node by node, so the level is the first one.
-                    let place = match below {
-                        Node::Uniform(class) => Place::Uniform(*class),
-                        Node::Inner(inner) => Place::Inner(inner),
-                        Node::Block(block) => Place::Block(block, 0, None),
-                    };
-                    self.draw(place, child);
+        match node {
+            Node::Inner(inner) if at.depth < self.depth => {
+                for (child, below) in children_of(at).into_iter().zip(inner.children()) {
+                    self.draw(tree, below, child)?;
                 }
             }
-            Place::Block(block, level, _) => {
-                let level = level + (self.depth - node.depth);
+            Node::Block(slot) if at.depth < self.depth => {
+                let block = slot.read(tree.access())?;
+                let level = root_level(tree.depth()) + (self.depth - at.depth);
                 let columns = 1_u32 << level;
                 let first = (common.min_x % columns) as usize;
                 for y in common.min_y..common.max_y {
@@ -265,13 +345,14 @@ impl Raster {
                     row.copy_from_slice(&block.level_row(level, y)[first..first + row.len()]);
                 }
             }
-            Place::Inner(_) | Place::Uniform(_) => {
-                let class = place.max(node);
+            _ => {
+                let class = node.max();
                 for y in common.min_y..common.max_y {
                     self.row(y, &common).fill(class);
                 }
             }
         }
+        Ok(())
     }
 }
 
@@ -292,7 +373,7 @@ impl Counts {
             Node::Uniform(class) => self.cells[self.kind(*class)] += 1 << (2 * (self.depth - depth)),
             Node::Inner(inner) => {
                 self.inner += 1;
-                self.bytes += (ARC + size_of::<Inner>()) as u64;
+                self.bytes += (ARC + size_of::<Inner<Arc<Block>>>()) as u64;
                 inner.children().iter().for_each(|child| self.add(child, depth + 1));
             }
             Node::Block(block) => {

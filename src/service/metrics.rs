@@ -1,5 +1,6 @@
 //! What the service counts and times. Without an installed recorder every call here does nothing.
 
+use crate::quadtree::CacheStatistics;
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,10 @@ const EVIDENCE_SECONDS: &str = "ubbmap_evidence_seconds";
 const QUEUE_DEPTH: &str = "ubbmap_queue_depth";
 const QUERY_SECONDS: &str = "ubbmap_query_seconds";
 const MAPS_OPEN: &str = "ubbmap_maps_open";
+const CACHE_BYTES: &str = "ubbmap_cache_bytes";
+const CACHE_HITS: &str = "ubbmap_cache_hits_total";
+const CACHE_LOADS: &str = "ubbmap_cache_loads_total";
+const CACHE_EVICTIONS: &str = "ubbmap_cache_evictions_total";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
@@ -23,7 +28,19 @@ pub fn describe_metrics() {
     describe_histogram!(EVIDENCE_SECONDS, "Seconds for computing the evidence of one request");
     describe_gauge!(QUEUE_DEPTH, "Insert requests that wait at the writers of all maps or are being committed");
     describe_histogram!(QUERY_SECONDS, "Seconds for computing a query's answer, by kind");
-    describe_gauge!(MAPS_OPEN, "Maps held in memory");
+    describe_gauge!(MAPS_OPEN, "Maps that are open: all of each but its blocks is in memory");
+    describe_gauge!(CACHE_BYTES, "Bytes of the blocks in memory, all maps together");
+    describe_counter!(CACHE_HITS, "Blocks looked into that were in memory");
+    describe_counter!(CACHE_LOADS, "Blocks read from the store");
+    describe_counter!(CACHE_EVICTIONS, "Blocks let go to keep the limit");
+}
+
+/// Takes over what the cache counts by itself.
+pub(super) fn cache(statistics: &CacheStatistics) {
+    gauge!(CACHE_BYTES).set(statistics.bytes as f64);
+    counter!(CACHE_HITS).absolute(statistics.hits);
+    counter!(CACHE_LOADS).absolute(statistics.loads);
+    counter!(CACHE_EVICTIONS).absolute(statistics.evictions);
 }
 
 /// What became of scans.

@@ -24,9 +24,10 @@ mod gate_tests;
 mod metrics_tests;
 
 use crate::mapping::{MapConfig, Region};
+use crate::quadtree::CacheStatistics;
 use crate::store::{MapName, MapStore};
-use queries::Root;
-use registry::{Registry, blocking};
+use queries::{QueryError, Root};
+use registry::{Registry, blocking, store_failure};
 use std::sync::Arc;
 
 pub use answers::{
@@ -123,11 +124,13 @@ impl MapService {
         limited("points", points.len(), self.settings().max_points, ErrorKind::TooManyPoints)?;
         let root = self.root(name).await?;
         let depth = root.depth(depth)?;
-        if points.len() <= INLINE_POINTS {
-            return metrics::query("classes", || root.classes(points, depth));
+        if points.len() <= INLINE_POINTS
+            && let Some(answer) = inline("classes", name, || root.in_memory().classes(points, depth))
+        {
+            return answer;
         }
         let points = points.to_vec();
-        self.apart("classes", move || root.classes(&points, depth)).await?
+        self.apart("classes", name, move || root.classes(&points, depth)).await
     }
 
     /// The quadtree leaves of a half-open box, at most to a depth.
@@ -137,11 +140,13 @@ impl MapService {
     pub async fn region(&self, name: &MapName, query: &BoxQuery) -> Result<RegionAnswer, ServiceError> {
         let root = self.root(name).await?;
         let area = root.area(query)?;
-        if root.nodes(&area) <= INLINE_LEAVES {
-            return metrics::query("region", || root.region(&area, self.settings()));
+        if root.nodes(&area) <= INLINE_LEAVES
+            && let Some(answer) = inline("region", name, || root.in_memory().region(&area, self.settings()))
+        {
+            return answer;
         }
         let settings = Arc::clone(&self.registry.settings);
-        self.apart("region", move || root.region(&area, &settings)).await?
+        self.apart("region", name, move || root.region(&area, &settings)).await
     }
 
     /// A dense raster of a half-open box at a depth; cells outside the root are not in it.
@@ -152,10 +157,12 @@ impl MapService {
         let root = self.root(name).await?;
         let area = root.area(query)?;
         let plan = root.plan_grid(&area, self.settings())?;
-        if root.nodes(&area) <= INLINE_CELLS {
-            return Ok(metrics::query("grid", || root.grid_raster(&plan)));
+        if root.nodes(&area) <= INLINE_CELLS
+            && let Some(answer) = inline("grid", name, || root.in_memory().grid_raster(&plan))
+        {
+            return answer;
         }
-        self.apart("grid", move || root.grid_raster(&plan)).await
+        self.apart("grid", name, move || root.grid_raster(&plan)).await
     }
 
     /// The node `(z, x, y)` as 256 x 256 cells of depth `z + 8` (cells deeper than the leaves repeat the leaf).
@@ -164,7 +171,10 @@ impl MapService {
     /// [`ErrorKind::TileOutOfRange`]
     pub async fn tile(&self, name: &MapName, z: u32, x: u32, y: u32) -> Result<Raster, ServiceError> {
         let root = self.root(name).await?;
-        metrics::query("tile", || root.tile(z, x, y))
+        if let Some(answer) = inline("tile", name, || root.in_memory().tile(z, x, y)) {
+            return answer;
+        }
+        self.apart("tile", name, move || root.tile(z, x, y)).await
     }
 
     /// Is each region guaranteed free? All of one revision.
@@ -182,7 +192,7 @@ impl MapService {
         let tolerance = root.tolerance(tolerance)?;
         // How long a region takes depends on the map below it, so none of them is computed here.
         let regions = regions.to_vec();
-        self.apart("guaranteed_free", move || root.guaranteed_free(&regions, tolerance)).await
+        self.apart("guaranteed_free", name, move || root.guaranteed_free(&regions, tolerance)).await
     }
 
     /// True while the service takes work and its store takes writes.
@@ -210,7 +220,8 @@ impl MapService {
     async fn root(&self, name: &MapName) -> Result<Root, ServiceError> {
         let entry = self.registry.find(name)?;
         let published = self.registry.opened(&entry).await?.published.load_full();
-        Ok(Root { id: entry.id, config: entry.config.load_full(), published })
+        let tree = published.tree.clone();
+        Ok(Root { id: entry.id, config: entry.config.load_full(), published, tree })
     }
 
     /// Computes an answer on a thread that may be busy for long. So many at once: the others wait for their turn, and
@@ -218,15 +229,48 @@ impl MapService {
     async fn apart<T: Send + 'static>(
         &self,
         kind: &'static str,
-        compute: impl FnOnce() -> T + Send + 'static,
+        name: &MapName,
+        compute: impl FnOnce() -> Result<T, QueryError> + Send + 'static,
     ) -> Result<T, ServiceError> {
         // The semaphore is never closed; without a permit the answer would only be computed at once.
         let permit = Arc::clone(&self.registry.heavy).acquire_owned().await.ok();
-        blocking(move || {
+        let answer = blocking(move || {
             let _permit = permit;
             metrics::query(kind, compute)
         })
-        .await
+        .await?;
+        answer.map_err(|error| query_failure(name, error))
+    }
+
+    /// Hands what is counted elsewhere to the recorder: called before the metrics are shown.
+    pub fn note_metrics(&self) {
+        metrics::cache(&self.cache());
+    }
+
+    /// What the blocks in memory take, and what was done to keep them under their limit.
+    #[must_use]
+    pub fn cache(&self) -> CacheStatistics {
+        self.registry.cache.statistics()
+    }
+}
+
+/// Computes an answer on the caller's thread from what is in memory; `None` when that is not enough.
+fn inline<T>(
+    kind: &'static str,
+    name: &MapName,
+    compute: impl FnOnce() -> Result<T, QueryError>,
+) -> Option<Result<T, ServiceError>> {
+    match metrics::query(kind, compute) {
+        Err(QueryError::Absent) => None,
+        answer => Some(answer.map_err(|error| query_failure(name, error))),
+    }
+}
+
+fn query_failure(name: &MapName, error: QueryError) -> ServiceError {
+    match error {
+        QueryError::Refused(error) => error,
+        QueryError::Store(error) => store_failure(name, "read", &error),
+        QueryError::Absent => ServiceError::new(ErrorKind::Internal, "the server did not read a block of the map"),
     }
 }
 

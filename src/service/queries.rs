@@ -1,10 +1,10 @@
-//! Queries of one published root: plain functions, no waiting, no locks.
+//! Queries of one published root: plain functions that wait for nothing but the blocks that they look into.
 
 use super::writer::Published;
 use super::{BoxQuery, ClassesAnswer, ErrorKind, FreeAnswers, Raster, RegionAnswer, ServiceError, ServiceSettings};
-use crate::mapping::{EvidenceRule, MapConfig, Region};
-use crate::quadtree::{Class, Grid, Leaf, LeafRange, NodeAddress};
-use crate::store::MapId;
+use crate::mapping::{EvidenceRule, MapConfig, Region, try_guaranteed_free};
+use crate::quadtree::{Class, Grid, Leaf, LeafRange, NodeAddress, PageError, PagedTree};
+use crate::store::{MapId, StoreError};
 use std::sync::Arc;
 
 /// Levels between a tile's node and its cells: 256 cells a side.
@@ -19,6 +19,31 @@ pub(super) struct Root {
     pub(super) id: MapId,
     pub(super) config: Arc<MapConfig>,
     pub(super) published: Arc<Published>,
+    /// The published tree; for an answer that must not wait for a disk, one that fetches nothing.
+    pub(super) tree: PagedTree,
+}
+
+/// Why a query has no answer.
+#[derive(Debug)]
+pub(super) enum QueryError {
+    /// A block is not in memory, and the root was one that fetches nothing: the query is to be asked elsewhere.
+    Absent,
+    /// A block cannot be read.
+    Store(StoreError),
+    /// The query itself.
+    Refused(ServiceError),
+}
+
+impl From<ServiceError> for QueryError {
+    fn from(error: ServiceError) -> Self {
+        Self::Refused(error)
+    }
+}
+
+impl From<PageError> for QueryError {
+    fn from(error: PageError) -> Self {
+        if matches!(error, PageError::Absent) { Self::Absent } else { Self::Store(error.into()) }
+    }
 }
 
 /// A box query checked against the map: its depth and its leaves.
@@ -58,6 +83,11 @@ impl Area {
 }
 
 impl Root {
+    /// The same root, read without fetching anything.
+    pub(super) fn in_memory(&self) -> Self {
+        Self { tree: self.tree.in_memory(), ..self.clone() }
+    }
+
     fn grid(&self) -> &Grid {
         self.config.grid()
     }
@@ -76,23 +106,21 @@ impl Root {
     }
 
     /// Classes at points, by the half-open cells of `depth`.
-    pub(super) fn classes(&self, points: &[(f64, f64)], depth: u8) -> Result<ClassesAnswer, ServiceError> {
+    pub(super) fn classes(&self, points: &[(f64, f64)], depth: u8) -> Result<ClassesAnswer, QueryError> {
         let shift = self.grid().depth() - depth;
         let unknown = self.config.scale().unknown();
         let class = |(index, (x, y)): (usize, &(f64, f64))| {
             for (axis, value) in [("x", x), ("y", y)] {
                 if !value.is_finite() {
                     let detail = format!("points[{index}].{axis} is not a finite number: {value}");
-                    return Err(
-                        ServiceError::new(ErrorKind::InvalidPoint, detail).at(format!("points[{index}].{axis}"))
-                    );
+                    let error = ServiceError::new(ErrorKind::InvalidPoint, detail);
+                    return Err(error.at(format!("points[{index}].{axis}")).into());
                 }
             }
-            Ok(self.grid().leaf_at(*x, *y).map_or(unknown, |leaf| {
-                self.published.tree.max_class(NodeAddress { depth, x: leaf.x >> shift, y: leaf.y >> shift })
-            }))
+            let Some(leaf) = self.grid().leaf_at(*x, *y) else { return Ok(unknown) };
+            Ok(self.tree.try_max_class(NodeAddress { depth, x: leaf.x >> shift, y: leaf.y >> shift })?)
         };
-        let classes: Result<Vec<Class>, ServiceError> = points.iter().enumerate().map(class).collect();
+        let classes: Result<Vec<Class>, QueryError> = points.iter().enumerate().map(class).collect();
         Ok(ClassesAnswer { revision: self.published.revision, depth, classes: classes? })
     }
 
@@ -116,10 +144,10 @@ impl Root {
     }
 
     /// Leaves of an area in Z-order.
-    pub(super) fn region(&self, area: &Area, settings: &ServiceSettings) -> Result<RegionAnswer, ServiceError> {
+    pub(super) fn region(&self, area: &Area, settings: &ServiceSettings) -> Result<RegionAnswer, QueryError> {
         let limit = settings.max_leaves;
         let mut leaves = Vec::new();
-        if self.visit(area, area.depth, limit, &mut |leaf| leaves.push(leaf)) {
+        if self.visit(area, area.depth, limit, &mut |leaf| leaves.push(leaf))? {
             return Ok(RegionAnswer { revision: self.published.revision, depth: area.depth, leaves });
         }
         drop(leaves);
@@ -129,7 +157,7 @@ impl Root {
         let mut low = 0;
         while low < too_deep {
             let middle = low + (too_deep - low) / 2;
-            if self.visit(area, middle, limit, &mut |_| ()) {
+            if self.visit(area, middle, limit, &mut |_| ())? {
                 fits = Some(middle);
                 low = middle + 1;
             } else {
@@ -137,20 +165,19 @@ impl Root {
             }
         }
         let what = format!("the region has more than {limit} leaves at depth {}, which is the limit", area.depth);
-        Err(too_large(&what, fits))
+        Err(too_large(&what, fits).into())
     }
 
     /// Visits leaves until there are more than `limit`; false when there are.
-    fn visit(&self, area: &Area, depth: u8, limit: usize, visitor: &mut dyn FnMut(Leaf)) -> bool {
+    fn visit(&self, area: &Area, depth: u8, limit: usize, visitor: &mut dyn FnMut(Leaf)) -> Result<bool, PageError> {
         let mut count = 0;
-        area.leaves.is_empty()
-            || self.published.tree.visit_leaves(&area.leaves, depth, &mut |leaf| {
-                count += 1;
-                if count <= limit {
-                    visitor(leaf);
-                }
-                count <= limit
-            })
+        self.tree.try_visit_leaves(&area.leaves, depth, &mut |leaf| {
+            count += 1;
+            if count <= limit {
+                visitor(leaf);
+            }
+            count <= limit
+        })
     }
 
     /// Checks the size of a raster of an area.
@@ -168,14 +195,15 @@ impl Root {
     }
 
     /// Reads a raster.
-    pub(super) fn grid_raster(&self, plan: &RasterPlan) -> Raster {
+    pub(super) fn grid_raster(&self, plan: &RasterPlan) -> Result<Raster, QueryError> {
         let RasterPlan { depth, range } = *plan;
-        let classes = if range.is_empty() { Vec::new() } else { self.published.tree.raster(&range, depth) };
-        self.raster(depth, range.min_x, range.min_y, (range.max_x - range.min_x, range.max_y - range.min_y), classes)
+        let classes = self.tree.try_raster(&range, depth)?;
+        let size = (range.max_x - range.min_x, range.max_y - range.min_y);
+        Ok(self.raster(depth, range.min_x, range.min_y, size, classes))
     }
 
     /// The node `(z, x, y)` as 256 x 256 cells.
-    pub(super) fn tile(&self, z: u32, x: u32, y: u32) -> Result<Raster, ServiceError> {
+    pub(super) fn tile(&self, z: u32, x: u32, y: u32) -> Result<Raster, QueryError> {
         let map_depth = self.grid().depth();
         let z = u8::try_from(z).ok().filter(|depth| *depth <= map_depth).ok_or_else(|| {
             let detail = format!("z must be between 0 and {map_depth}, the map's depth, got {z}");
@@ -185,7 +213,7 @@ impl Root {
         for (axis, value) in [("x", x), ("y", y)] {
             if value >= side {
                 let detail = format!("{axis} must be below {side} (2^z) at z = {z}, got {value}");
-                return Err(ServiceError::new(ErrorKind::TileOutOfRange, detail).at(axis));
+                return Err(ServiceError::new(ErrorKind::TileOutOfRange, detail).at(axis).into());
             }
         }
         let depth = z + TILE_LEVELS;
@@ -195,7 +223,7 @@ impl Root {
         let read_side = TILE_SIDE >> repeat_levels;
         let (left, bottom) = (x * read_side, y * read_side);
         let range = LeafRange { min_x: left, min_y: bottom, max_x: left + read_side, max_y: bottom + read_side };
-        let read = self.published.tree.raster(&range, read_depth);
+        let read = self.tree.try_raster(&range, read_depth)?;
         let classes = if repeat_levels == 0 { read } else { repeat(&read, repeat_levels) };
         Ok(self.raster(depth, x * TILE_SIDE, y * TILE_SIDE, (TILE_SIDE, TILE_SIDE), classes))
     }
@@ -232,14 +260,14 @@ impl Root {
     }
 
     /// Answers for regions, in order.
-    pub(super) fn guaranteed_free(&self, regions: &[Region], tolerance: u8) -> FreeAnswers {
-        let free = |region| crate::mapping::guaranteed_free(&self.published.tree, self.grid(), region, tolerance);
-        FreeAnswers {
+    pub(super) fn guaranteed_free(&self, regions: &[Region], tolerance: u8) -> Result<FreeAnswers, QueryError> {
+        let free = |region| try_guaranteed_free(&self.tree, self.grid(), region, tolerance);
+        Ok(FreeAnswers {
             revision: self.published.revision,
             sound: self.config.rule() == EvidenceRule::Guaranteed,
             depth: self.grid().depth(),
-            results: regions.iter().map(free).collect(),
-        }
+            results: regions.iter().map(free).collect::<Result<_, PageError>>()?,
+        })
     }
 }
 

@@ -8,6 +8,7 @@ use super::{
     Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError, ServiceSettings,
 };
 use crate::mapping::MapConfig;
+use crate::quadtree::BlockCache;
 use crate::store::{DamagedMap, MapId, MapName, MapStore, StoreError, StoredMap};
 use arc_swap::ArcSwap;
 use std::collections::BTreeMap;
@@ -19,6 +20,8 @@ use tokio_util::sync::CancellationToken;
 /// All that the clones of one service share.
 pub(super) struct Registry {
     store: Arc<dyn MapStore>,
+    /// Blocks of all maps in memory.
+    pub(super) cache: Arc<BlockCache>,
     pub(super) settings: Arc<ServiceSettings>,
     /// Held for a look or a change, never across a disk access or an await.
     table: RwLock<Table>,
@@ -75,6 +78,7 @@ impl Registry {
             table: RwLock::new(table),
             changes: Mutex::new(()),
             pool: EvidencePool::new(&settings)?,
+            cache: Arc::new(BlockCache::new(settings.cache_bytes)),
             gate: Arc::new(Gate::new()),
             heavy: Arc::new(Semaphore::new(settings.max_concurrent_queries.clamp(1, Semaphore::MAX_PERMITS))),
             settings: Arc::new(settings),
@@ -111,8 +115,9 @@ impl Registry {
     }
 
     async fn load(&self, entry: &Entry) -> Result<Opened, ServiceError> {
-        let (store, id) = (Arc::clone(&self.store), entry.id);
-        let loaded = blocking(move || store.load(id)).await?.map_err(|e| store_failure(&entry.name, "load", &e))?;
+        let (store, cache, id) = (Arc::clone(&self.store), Arc::clone(&self.cache), entry.id);
+        let loaded = blocking(move || store.open(id, &cache)).await?;
+        let loaded = loaded.map_err(|e| store_failure(&entry.name, "load", &e))?;
         tracing::debug!(map = %entry.name, revision = loaded.revision, "loaded");
         let root = Published { revision: loaded.revision, tree: loaded.tree, windows: Arc::new(loaded.windows) };
         let published = Arc::new(ArcSwap::from_pointee(root));
@@ -123,6 +128,7 @@ impl Registry {
             id,
             store: Arc::clone(&self.store),
             published: Arc::clone(&published),
+            pager: loaded.pager,
             max_scans_per_commit: self.settings.max_scans_per_commit,
             max_robots: self.settings.max_robots,
         };

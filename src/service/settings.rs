@@ -32,6 +32,8 @@ pub struct ServiceSettings {
     pub max_scans_per_commit: usize,
     /// Most bytes that scans and their evidence may take, all insertions under way together.
     pub max_bytes_in_flight: usize,
+    /// Most bytes of blocks in memory, all maps together; what stands above them, about 100 bytes a block, comes on top.
+    pub cache_bytes: usize,
     /// Heavy queries computed at once; more wait for their turn.
     pub max_concurrent_queries: usize,
     /// Threads that compute evidence; 0 is one a core.
@@ -54,6 +56,7 @@ impl Default for ServiceSettings {
             queue_length: 256,
             max_scans_per_commit: 4096,
             max_bytes_in_flight: 512 << 20,
+            cache_bytes: 1 << 30,
             max_concurrent_queries: 32,
             evidence_threads: 0,
         }

@@ -9,7 +9,7 @@ use super::gate::Inside;
 use super::metrics;
 use super::registry::store_failure;
 use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
-use crate::quadtree::{BlockAddress, LeafMasks, OccupancyTree};
+use crate::quadtree::{BlockAddress, BlockPager, LeafMasks, PageError, PagedTree};
 use crate::store::{Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError};
 use arc_swap::ArcSwap;
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Debug)]
 pub(super) struct Published {
     pub(super) revision: u64,
-    pub(super) tree: OccupancyTree,
+    pub(super) tree: PagedTree,
     pub(super) windows: Arc<BTreeMap<RobotName, SequenceWindow>>,
 }
 
@@ -71,6 +71,8 @@ pub(super) struct Writer {
     pub(super) id: MapId,
     pub(super) store: Arc<dyn MapStore>,
     pub(super) published: Arc<ArcSwap<Published>>,
+    /// Where the map's blocks are read from; `None` when they stay in memory.
+    pub(super) pager: Option<Arc<BlockPager>>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
 }
@@ -78,12 +80,14 @@ pub(super) struct Writer {
 /// One round's changes on top of a published root; dropped without a trace when the commit fails.
 struct Round<'a> {
     base: &'a Published,
-    tree: OccupancyTree,
+    tree: PagedTree,
     changed: Vec<BlockAddress>,
     windows: BTreeMap<RobotName, SequenceWindow>,
     /// Robots that had no window before.
     new_robots: usize,
     applied: u64,
+    /// A block could not be read while evidence was applied: the round ends in this.
+    broken: Option<PageError>,
 }
 
 impl Writer {
@@ -159,14 +163,21 @@ impl Writer {
 
     /// Stores a round and publishes it; returns the revision that holds it.
     fn store(&self, round: Round<'_>) -> Result<u64, StoreError> {
-        let applied = round.applied;
-        let Some((commit, published)) = round.finish() else {
-            return Ok(self.published.load().revision);
+        let (applied, base) = (round.applied, round.base);
+        let Some((commit, mut published)) = round.finish()? else {
+            return Ok(base.revision);
         };
+        let changed: Vec<BlockAddress> = commit.blocks.iter().map(|(address, _)| *address).collect();
+        // Readers of older roots keep their blocks, whose records go now.
+        let replaced = base.tree.hold_replaced(&changed)?;
         let started = Instant::now();
         let stored = self.store.commit(self.id, &commit);
         metrics::commit(stored.is_ok(), applied, started.elapsed());
         stored?;
+        replaced.keep();
+        if let Some(pager) = &self.pager {
+            published.tree.settle(&changed, commit.revision, pager);
+        }
         self.published.store(Arc::new(published));
         Ok(commit.revision)
     }
@@ -198,17 +209,30 @@ pub(super) fn map_not_found(name: &MapName) -> ServiceError {
 
 impl<'a> Round<'a> {
     fn new(base: &'a Published) -> Self {
-        Self { base, tree: base.tree.clone(), changed: Vec::new(), windows: BTreeMap::new(), new_robots: 0, applied: 0 }
+        Self {
+            base,
+            tree: base.tree.clone(),
+            changed: Vec::new(),
+            windows: BTreeMap::new(),
+            new_robots: 0,
+            applied: 0,
+            broken: None,
+        }
     }
 
     /// Applies one request's scans in order.
+    ///
+    /// What a scan looks into is read before it counts as applied: one that meets a damaged block is refused by itself.
     fn take(&mut self, job: &Job, max_robots: usize) -> InsertAnswer {
         let mut answer = job.answer.clone();
         for scan in &job.scans {
-            match self.admit(scan.numbered.as_ref(), max_robots) {
+            let readable = self.tree.prepare(&scan.masks).map_err(|error| unreadable(error.into()));
+            match readable.and_then(|()| self.admit(scan.numbered.as_ref(), max_robots)) {
                 Ok(SequenceVerdict::Duplicate) => answer.duplicates += 1,
                 Ok(_) => {
-                    self.tree.apply(&scan.masks, &mut self.changed);
+                    if let Err(error) = self.tree.try_apply(&scan.masks, &mut self.changed) {
+                        self.broken.get_or_insert(error);
+                    }
                     self.applied += 1;
                     answer.applied += 1;
                 }
@@ -246,20 +270,35 @@ impl<'a> Round<'a> {
     }
 
     /// The commit and the root that it leads to; `None` when there is nothing to store.
-    fn finish(mut self) -> Option<(Commit, Published)> {
+    fn finish(mut self) -> Result<Option<(Commit, Published)>, StoreError> {
+        if let Some(error) = self.broken {
+            return Err(error.into());
+        }
         self.changed.sort_unstable_by_key(|address| address.morton());
         self.changed.dedup();
         self.windows.retain(|robot, window| self.base.windows.get(robot) != Some(window));
         if self.changed.is_empty() && self.windows.is_empty() {
-            return None;
+            return Ok(None);
         }
         let revision = self.base.revision + 1;
-        let blocks = self.changed.iter().map(|address| (*address, self.tree.block(*address))).collect();
+        let block = |address: &BlockAddress| Ok((*address, self.tree.try_block(*address)?));
+        let blocks = self.changed.iter().map(block).collect::<Result<_, PageError>>()?;
         let mut windows = Arc::clone(&self.base.windows);
         if !self.windows.is_empty() {
             Arc::make_mut(&mut windows).extend(self.windows.iter().map(|(r, w)| (r.clone(), w.clone())));
         }
         let commit = Commit { revision, blocks, windows: self.windows.into_iter().collect() };
-        Some((commit, Published { revision, tree: self.tree, windows }))
+        Ok(Some((commit, Published { revision, tree: self.tree, windows })))
+    }
+}
+
+/// Why a scan is refused that looks into a block which cannot be read.
+fn unreadable(error: StoreError) -> (&'static str, String) {
+    tracing::error!(%error, "evidence meets a block that cannot be read");
+    match error {
+        StoreError::Damaged { what } => {
+            (ErrorKind::MapDamaged.code(), format!("a block of the map is damaged: {what}"))
+        }
+        _ => (ErrorKind::StoreFailed.code(), "the store could not read a block of the map".to_owned()),
     }
 }

@@ -40,6 +40,11 @@ impl BlockCodec {
         Self { scale, root, width: if scale.count() <= 16 { 4 } else { 8 } }
     }
 
+    /// The highest class of the scale.
+    pub(super) fn highest(&self) -> Class {
+        self.scale.count()
+    }
+
     /// Appends a block.
     ///
     /// # Errors

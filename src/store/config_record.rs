@@ -3,6 +3,7 @@
 //! Version 1 of every content. Fields are big-endian; floats are their IEEE 754 bits, so what is read is what was
 //! written to the last bit. Everything read is checked by the constructors that check it at the interface.
 
+use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader, put_f64, put_name};
 use super::{MapName, SequenceWindow};
 use crate::mapping::{EvidenceRule, MapConfig};
@@ -42,6 +43,11 @@ impl FixedConfig {
     pub(super) fn with_sensors(self, sensors: BTreeMap<String, SensorModel>) -> Result<MapConfig, Malformed> {
         MapConfig::new(self.grid, self.scale, self.rule, self.min_obstacle_width, sensors)
             .map_err(|error| Malformed(error.to_string()))
+    }
+
+    /// How blocks of such a map are written.
+    pub(super) fn codec(&self) -> BlockCodec {
+        BlockCodec::new(self.grid.depth(), self.scale)
     }
 
     /// Appends 35 bytes.

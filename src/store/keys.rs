@@ -28,10 +28,12 @@ pub(super) enum Kind {
     Window = 0x20,
     /// A block.
     Block = 0x30,
+    /// What is known of a group of blocks.
+    Group = 0x31,
 }
 
 impl Kind {
-    const ALL: [Self; 10] = [
+    const ALL: [Self; 11] = [
         Self::Header,
         Self::NextMap,
         Self::LastWrite,
@@ -42,6 +44,7 @@ impl Kind {
         Self::Tombstone,
         Self::Window,
         Self::Block,
+        Self::Group,
     ];
 
     /// The kind of a key or record byte.
@@ -88,6 +91,18 @@ pub(super) fn block(id: MapId, address: BlockAddress) -> Vec<u8> {
     key
 }
 
+/// Key of a group of blocks by its number: in Z-order within its map.
+pub(super) fn group(id: MapId, number: u64) -> Vec<u8> {
+    let mut key = of_map(Kind::Group, id);
+    key.extend_from_slice(&number.to_be_bytes());
+    key
+}
+
+/// The number of a group's key.
+pub(super) fn group_of(key: &[u8]) -> Option<u64> {
+    tail(key).try_into().ok().map(u64::from_be_bytes)
+}
+
 /// What stands behind kind and map in a key.
 pub(super) fn tail(key: &[u8]) -> &[u8] {
     key.get(5..).unwrap_or_default()
@@ -121,6 +136,10 @@ pub(super) fn describe(key: &[u8]) -> String {
         Some(Kind::State) => of_map("its revision"),
         Some(Kind::Tombstone) => of_map("its tombstone"),
         Some(Kind::Window) => of_map(&format!("sequence window of robot {:?}", text())),
+        Some(Kind::Group) => match group_of(key) {
+            Some(number) => of_map(&format!("group of blocks {number}")),
+            None => of_map(&format!("group of blocks with a wrong key {}", hexadecimal(key))),
+        },
         Some(Kind::Block) => match block_of(key) {
             Some(address) => of_map(&format!("block ({}, {})", address.x, address.y)),
             None => of_map(&format!("block with a wrong key {}", hexadecimal(key))),

@@ -1,28 +1,66 @@
 //! Maps in memory: for tests, and for trials whose maps may vanish with the process.
 
 use super::checks::check_commit;
-use super::{Commit, LoadedMap, MapId, MapName, MapStore, StoreError, StoredMap, lock};
+use super::{Commit, LoadedMap, MapId, MapName, MapStore, OpenMap, StoreError, StoredMap, lock};
 use crate::mapping::MapConfig;
-use crate::quadtree::OccupancyTree;
+use crate::quadtree::{
+    Block, BlockAddress, BlockCache, BlockPager, BlockSource, BlockTag, BlockView, OccupancyTree, PagedTree,
+    SourceError,
+};
 use std::collections::BTreeMap;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// A store that keeps nothing beyond its own life. Tests can make it fail and wait.
 #[derive(Debug, Default)]
 pub struct MemoryStore {
-    state: Mutex<State>,
+    state: Arc<Mutex<State>>,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    maps: BTreeMap<MapId, (StoredMap, LoadedMap)>,
+    maps: BTreeMap<MapId, Kept>,
     last: u32,
     commits: u64,
     failure: Option<String>,
     fail_commit: Option<String>,
     fail_load: Option<String>,
+    fail_fetches: Option<String>,
     delay: Duration,
+}
+
+/// One map.
+#[derive(Debug, Clone)]
+struct Kept {
+    stored: StoredMap,
+    loaded: LoadedMap,
+    /// The revision that wrote each block, by Morton code.
+    written: BTreeMap<u64, u64>,
+}
+
+/// The blocks of one map.
+struct Source {
+    state: Arc<Mutex<State>>,
+    id: MapId,
+}
+
+impl BlockSource for Source {
+    fn fetch(&self, tag: &BlockTag) -> Result<Arc<Block>, SourceError> {
+        let mut state = lock(&self.state);
+        let damaged = |what: &str| {
+            let BlockAddress { x, y } = tag.address;
+            StoreError::Damaged { what: format!("map {}, block ({x}, {y}): {what}", self.id.0) }
+        };
+        if let Some(what) = &state.fail_fetches {
+            return Err(damaged(what).into());
+        }
+        let kept = state.map(self.id)?;
+        let written = kept.written.get(&tag.address.morton()).copied();
+        match kept.loaded.tree.block(tag.address) {
+            BlockView::Mixed(block) if written == Some(tag.revision) && block.max_at(0, 0, 0) == tag.max => Ok(block),
+            _ => Err(damaged(&format!("written by revision {written:?}, expected {tag:?}")).into()),
+        }
+    }
 }
 
 impl State {
@@ -30,7 +68,7 @@ impl State {
         self.failure.as_ref().map_or(Ok(()), |reason| Err(StoreError::FailStop(reason.clone())))
     }
 
-    fn map(&mut self, id: MapId) -> Result<&mut (StoredMap, LoadedMap), StoreError> {
+    fn map(&mut self, id: MapId) -> Result<&mut Kept, StoreError> {
         self.maps.get_mut(&id).ok_or(StoreError::NoMap(id))
     }
 }
@@ -52,6 +90,11 @@ impl MemoryStore {
         lock(&self.state).fail_load = Some(what.to_owned());
     }
 
+    /// From now on every block that is read is damaged, or none any more.
+    pub fn fail_fetches(&self, what: Option<&str>) {
+        lock(&self.state).fail_fetches = what.map(str::to_owned);
+    }
+
     /// Every commit from now on takes at least so long.
     pub fn delay_commits(&self, delay: Duration) {
         lock(&self.state).delay = delay;
@@ -66,7 +109,7 @@ impl MemoryStore {
 
 impl MapStore for MemoryStore {
     fn list(&self) -> Result<Vec<StoredMap>, StoreError> {
-        let mut maps: Vec<StoredMap> = lock(&self.state).maps.values().map(|(stored, _)| stored.clone()).collect();
+        let mut maps: Vec<StoredMap> = lock(&self.state).maps.values().map(|kept| kept.stored.clone()).collect();
         maps.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(maps)
     }
@@ -74,7 +117,7 @@ impl MapStore for MemoryStore {
     fn create(&self, name: &MapName, config: &MapConfig, created: f64) -> Result<MapId, StoreError> {
         let mut state = lock(&self.state);
         state.writable()?;
-        if state.maps.values().any(|(stored, _)| stored.name == *name) {
+        if state.maps.values().any(|kept| kept.stored.name == *name) {
             return Err(StoreError::Exists(name.clone()));
         }
         let next = state.last.checked_add(1);
@@ -82,14 +125,15 @@ impl MapStore for MemoryStore {
         let id = MapId(state.last);
         let stored = StoredMap { id, name: name.clone(), config: config.clone(), revision: 0, created };
         let tree = OccupancyTree::new(config.grid().depth(), config.scale());
-        state.maps.insert(id, (stored, LoadedMap { revision: 0, tree, windows: BTreeMap::new() }));
+        let loaded = LoadedMap { revision: 0, tree, windows: BTreeMap::new() };
+        state.maps.insert(id, Kept { stored, loaded, written: BTreeMap::new() });
         Ok(id)
     }
 
     fn update_config(&self, id: MapId, config: &MapConfig) -> Result<(), StoreError> {
         let mut state = lock(&self.state);
         state.writable()?;
-        let (stored, _) = state.map(id)?;
+        let stored = &mut state.map(id)?.stored;
         match stored.config.with_sensors(config.sensors().clone()) {
             Ok(same) if same == *config => stored.config = same,
             _ => return Err(StoreError::Refused("only the sensors of a map can change".to_owned())),
@@ -105,9 +149,24 @@ impl MapStore for MemoryStore {
 
     fn load(&self, id: MapId) -> Result<LoadedMap, StoreError> {
         let mut state = lock(&self.state);
-        let (_, map) = state.map(id)?;
-        let map = map.clone();
-        state.fail_load.take().map_or(Ok(map), |what| Err(StoreError::Damaged { what }))
+        let loaded = state.map(id)?.loaded.clone();
+        state.fail_load.take().map_or(Ok(loaded), |what| Err(StoreError::Damaged { what }))
+    }
+
+    fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
+        let LoadedMap { revision, tree: whole, windows } = self.load(id)?;
+        let source = Source { state: Arc::clone(&self.state), id };
+        let pager = Arc::new(BlockPager::new(Box::new(source), Arc::clone(cache)));
+        let mut tree = PagedTree::new(whole.depth(), whole.scale());
+        let written = lock(&self.state).map(id)?.written.clone();
+        whole.visit_blocks(&mut |address, view| match view {
+            BlockView::Uniform(class) => tree.place_uniform(address, *class),
+            BlockView::Mixed(block) => {
+                let revision = written.get(&address.morton()).copied().unwrap_or_default();
+                tree.place_stored(BlockTag { address, revision, max: block.max_at(0, 0, 0) }, &pager);
+            }
+        });
+        Ok(OpenMap { revision, tree, pager: Some(pager), windows })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {
@@ -117,9 +176,9 @@ impl MapStore for MemoryStore {
         }
         let mut state = lock(&self.state);
         state.writable()?;
-        let (stored, map) = state.map(id)?;
-        check_commit(stored, commit)?;
-        let mut tree = map.tree.clone();
+        let kept = state.map(id)?;
+        check_commit(&kept.stored, commit)?;
+        let mut tree = kept.loaded.tree.clone();
         for (address, view) in &commit.blocks {
             tree.set_block(*address, view.clone());
         }
@@ -127,11 +186,12 @@ impl MapStore for MemoryStore {
             state.failure = Some(reason.clone());
             return Err(StoreError::FailStop(reason));
         }
-        let (stored, map) = state.map(id)?;
-        stored.revision = commit.revision;
-        map.revision = commit.revision;
-        map.tree = tree;
-        map.windows.extend(commit.windows.iter().cloned());
+        let kept = state.map(id)?;
+        kept.stored.revision = commit.revision;
+        kept.loaded.revision = commit.revision;
+        kept.loaded.tree = tree;
+        kept.loaded.windows.extend(commit.windows.iter().cloned());
+        kept.written.extend(commit.blocks.iter().map(|(address, _)| (address.morton(), commit.revision)));
         state.commits += 1;
         Ok(())
     }

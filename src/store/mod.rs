@@ -9,6 +9,7 @@ mod bytes;
 mod checks;
 mod config_record;
 mod durability;
+mod groups;
 mod keys;
 mod map_file;
 mod mark;
@@ -18,6 +19,7 @@ mod names;
 mod record;
 mod sled_catalogue;
 mod sled_open;
+mod sled_records;
 mod sled_store;
 mod window;
 
@@ -29,8 +31,9 @@ mod durability_tests;
 mod record_tests;
 
 use crate::mapping::MapConfig;
-use crate::quadtree::{BlockAddress, BlockView, OccupancyTree};
+use crate::quadtree::{BlockAddress, BlockCache, BlockPager, BlockView, OccupancyTree, PageError, PagedTree};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use thiserror::Error;
 
 pub use durability::Syncer;
@@ -69,6 +72,19 @@ pub struct LoadedMap {
     pub revision: u64,
     /// The quadtree.
     pub tree: OccupancyTree,
+    /// What every robot has had applied.
+    pub windows: BTreeMap<RobotName, SequenceWindow>,
+}
+
+/// A map at its last revision, whose blocks are read when they are looked into.
+#[derive(Debug, Clone)]
+pub struct OpenMap {
+    /// Its revision.
+    pub revision: u64,
+    /// The quadtree.
+    pub tree: PagedTree,
+    /// Where its blocks are read from; `None` when all are in memory and stay there.
+    pub pager: Option<Arc<BlockPager>>,
     /// What every robot has had applied.
     pub windows: BTreeMap<RobotName, SequenceWindow>,
 }
@@ -139,6 +155,20 @@ pub enum StoreError {
     },
 }
 
+/// What a source of this module says when it has no block.
+impl From<PageError> for StoreError {
+    fn from(error: PageError) -> Self {
+        let absent = || Self::Refused("a block was not to be fetched".to_owned());
+        match error {
+            PageError::Absent => absent(),
+            PageError::Source(source) => match source.downcast::<Self>() {
+                Ok(own) => *own,
+                Err(other) => Self::Io { what: "reading a block".to_owned(), source: std::io::Error::other(other) },
+            },
+        }
+    }
+}
+
 /// Where maps are kept. Calls block; every call that changes something is durable when it returns `Ok`.
 pub trait MapStore: Send + Sync + 'static {
     /// Every map, by name.
@@ -170,6 +200,19 @@ pub trait MapStore: Send + Sync + 'static {
     /// # Errors
     /// [`StoreError`]
     fn load(&self, id: MapId) -> Result<LoadedMap, StoreError>;
+
+    /// Opens a map's last revision. Its blocks are read when they are looked into, and let go by the cache; before a
+    /// commit replaces a block, the caller holds the old one ([`PagedTree::hold_replaced`]).
+    ///
+    /// A store that cannot read single blocks reads them all here, and they stay in memory.
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
+        let _ = cache;
+        let LoadedMap { revision, tree, windows } = self.load(id)?;
+        Ok(OpenMap { revision, tree: PagedTree::from(&tree), pager: None, windows })
+    }
 
     /// Stores a commit.
     ///

@@ -3,6 +3,7 @@
 use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader};
 use super::config_record::{Counts, MapRecord, decode_sensor, decode_window};
+use super::groups::open_group;
 use super::keys::{self, Kind};
 use super::record::{self, Record, damaged};
 use super::sled_open::{Database, guarded};
@@ -18,6 +19,13 @@ pub(super) struct Entry {
     pub(super) counts: Counts,
     /// Held by whoever reads or changes the map's records.
     pub(super) busy: Arc<Mutex<()>>,
+}
+
+impl Entry {
+    /// How the map's blocks are written.
+    pub(super) fn codec(&self) -> BlockCodec {
+        BlockCodec::new(self.stored.config.grid().depth(), self.stored.config.scale())
+    }
 }
 
 /// All maps of a store.
@@ -185,6 +193,7 @@ pub(super) fn check_record(key: &[u8], value: &[u8], codec: Option<&BlockCodec>)
         Kind::State => content(key, kind, value, Counts::decode).map(|_| ()),
         Kind::Tombstone => content(key, kind, value, |_| Ok(())),
         Kind::Window => read_window(key, value, u64::MAX).map(|_| ()),
+        Kind::Group => open_group(key, value).map(|_| ()),
         Kind::Block => match codec {
             Some(codec) => content(key, kind, value, |bits| codec.decode(bits)).map(|_| ()),
             None => record::open(key, kind, value).map(|_| ()),

@@ -4,19 +4,19 @@
 //! then is a call answered. After a failed write nothing is written any more, and reads show what was durable before.
 
 use super::block_codec::BlockCodec;
-use super::checks::{check_commit, holds};
+use super::checks::check_commit;
 use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor, encode_window};
 use super::durability::{Durability, Syncer, Ticket};
+use super::groups::{Known, Noted};
 use super::keys::{self, Kind};
-use super::record::{self, damaged};
-use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map, not_later, read_window};
-use super::sled_open::{Database, SledOptions, database_path, guarded, open_directory};
-use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, StoreError, StoredMap, lock};
+use super::record;
+use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
+use super::sled_open::{SledOptions, database_path, guarded, open_directory};
+use super::sled_records::{Blocks, Records};
+use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, OpenMap, StoreError, StoredMap, lock};
 use crate::mapping::MapConfig;
-use crate::quadtree::{BlockView, OccupancyTree};
+use crate::quadtree::{BlockCache, BlockPager, BlockView, OccupancyTree, PagedTree};
 use sled::IVec;
-use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -25,24 +25,14 @@ const PURGE_BATCH: usize = 1000;
 
 /// A store in a directory. One process may have it open at a time.
 pub struct SledStore {
-    db: Database,
+    records: Arc<Records>,
     durability: Durability,
     catalogue: Mutex<Catalogue>,
     /// The number of the next map; held while maps are created and deleted.
     next_map: Mutex<u32>,
     /// The number of the last write; held while a batch is applied, so that numbers are in the order of the log.
     last_write: Mutex<u64>,
-    /// After a failure: what the records of the changes that did not become durable were before.
-    undone: Mutex<Before>,
-    /// Held until all else is dropped.
-    _lock: File,
 }
-
-/// What records were, by key; `None` where there was none.
-type Before = BTreeMap<Vec<u8>, Option<IVec>>;
-
-/// Is shown keys and values.
-type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<(), StoreError> + 'a;
 
 /// One record to be written (or removed: `None`), and what was there before.
 struct Change {
@@ -102,14 +92,13 @@ impl SledStore {
         };
         let durability = Durability::start(opened.last_write, make_durable, nudge)
             .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
+        let records = Records { db: opened.db, undone: Mutex::default(), _lock: opened.lock };
         let store = Self {
-            db: opened.db,
+            records: Arc::new(records),
             durability,
             catalogue: Mutex::new(catalogue),
             next_map: Mutex::new(next),
             last_write: Mutex::new(opened.last_write),
-            undone: Mutex::default(),
-            _lock: opened.lock,
         };
         store.finish_deletions()?;
         Ok(store)
@@ -127,7 +116,7 @@ impl SledStore {
         };
         let mut found = Verification { maps: maps.len() as u64, ..Verification::default() };
         let mut of_map = (None, None);
-        self.scan(&[], &mut |key, value| {
+        self.records.scan(&[], &mut |key, value| {
             let id = keys::map_of(key);
             if of_map.0 != id {
                 of_map = (id, codec(id));
@@ -153,7 +142,7 @@ impl SledStore {
     /// # Errors
     /// When the directory cannot be read.
     pub fn disk_bytes(&self) -> Result<u64, StoreError> {
-        guarded("measuring the store", || self.db.size_on_disk())
+        guarded("measuring the store", || self.records.db.size_on_disk())
     }
 
     fn writable(&self) -> Result<(), StoreError> {
@@ -174,7 +163,7 @@ impl SledStore {
     }
 
     fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
-        let before = guarded("reading what is to be changed", || self.db.get(&key))?;
+        let before = guarded("reading what is to be changed", || self.records.db.get(&key))?;
         Ok(Change { key, value, before })
     }
 
@@ -198,7 +187,7 @@ impl SledStore {
         }
         let applied = self.apply(batch).map_err(|error| error.to_string());
         applied.and_then(|ticket| self.durability.wait(ticket)).map_err(|reason| {
-            let mut undone = lock(&self.undone);
+            let mut undone = lock(&self.records.undone);
             for (key, value) in before {
                 undone.entry(key).or_insert(value);
             }
@@ -211,7 +200,7 @@ impl SledStore {
         let mut last_write = lock(&self.last_write);
         *last_write += 1;
         batch.insert(&keys::LAST_WRITE, record::seal(&keys::LAST_WRITE, 0, &last_write.to_be_bytes()));
-        match guarded("writing", || self.db.apply_batch(batch)) {
+        match guarded("writing", || self.records.db.apply_batch(batch)) {
             Ok(()) => Ok(self.durability.applied()),
             Err(error) => {
                 self.durability.fail(&error.to_string());
@@ -220,29 +209,13 @@ impl SledStore {
         }
     }
 
-    /// Every record whose key begins so, as it was last durable. Its map must be held, but for checks.
-    fn scan(&self, prefix: &[u8], visit: &mut Visit<'_>) -> Result<(), StoreError> {
-        let undone: Before = {
-            let all = lock(&self.undone);
-            let from = all.range(prefix.to_vec()..).take_while(|(key, _)| key.starts_with(prefix));
-            from.map(|(key, value)| (key.clone(), value.clone())).collect()
-        };
-        let mut records = self.db.scan_prefix(prefix);
-        while let Some((key, value)) = guarded("reading records", || records.next().transpose())? {
-            if !undone.contains_key(key.as_ref()) {
-                visit(&key, &value)?;
-            }
-        }
-        undone.iter().try_for_each(|(key, value)| value.as_ref().map_or(Ok(()), |value| visit(key, value)))
-    }
-
     /// The records of a checked commit, and the counts after it.
     fn commit_changes(&self, entry: &Entry, commit: &Commit) -> Result<(Vec<Change>, Counts), StoreError> {
         let StoredMap { id, config, .. } = &entry.stored;
         let codec = BlockCodec::new(config.grid().depth(), config.scale());
         let mut counts = entry.counts;
         let mut changes = Vec::with_capacity(commit.blocks.len() + commit.windows.len() + 1);
-        let mut content = Vec::new();
+        let (mut content, mut noted) = (Vec::new(), Vec::with_capacity(commit.blocks.len()));
         for (address, view) in &commit.blocks {
             let key = keys::block(*id, *address);
             // A block that is unknown throughout is one that is not there.
@@ -255,7 +228,15 @@ impl SledStore {
             };
             counts.blocks += u64::from(change.value.is_some());
             counts.blocks = counts.blocks.saturating_sub(u64::from(change.before.is_some()));
+            let known = change.value.is_some().then(|| Known::of(view, commit.revision));
+            noted.push(Noted { address: *address, known, before: change.before.is_some() });
             changes.push(change);
+        }
+        for (key, content) in self.records.groups_after(*id, &noted, &codec)? {
+            changes.push(match content {
+                Some(content) => self.put(key, commit.revision, &content)?,
+                None => self.change(key, None)?,
+            });
         }
         for (robot, window) in &commit.windows {
             content.clear();
@@ -288,7 +269,7 @@ impl SledStore {
     /// Clears away what is left of maps whose deletion was decided but not finished.
     fn finish_deletions(&self) -> Result<(), StoreError> {
         let mut left = Vec::new();
-        self.scan(&[Kind::Tombstone as u8], &mut |key, _| {
+        self.records.scan(&[Kind::Tombstone as u8], &mut |key, _| {
             left.extend(keys::map_of(key));
             Ok(())
         })?;
@@ -297,11 +278,11 @@ impl SledStore {
 
     /// Removes the records of a map that has a tombstone, and the tombstone last.
     fn purge(&self, id: MapId) -> Result<(), StoreError> {
-        for kind in [Kind::Block, Kind::Window, Kind::Sensor] {
+        for kind in [Kind::Block, Kind::Group, Kind::Window, Kind::Sensor] {
             let prefix = keys::of_map(kind, id);
             loop {
                 let found: Vec<IVec> = guarded("reading what is to be removed", || {
-                    self.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
+                    self.records.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
                 })?;
                 if found.is_empty() {
                     break;
@@ -392,36 +373,38 @@ impl MapStore for SledStore {
     fn load(&self, id: MapId) -> Result<LoadedMap, StoreError> {
         let busy = self.busy(id)?;
         let _held = lock(&busy);
-        let Entry { stored, counts, .. } = self.entry(id)?;
-        let (grid, scale) = (stored.config.grid(), stored.config.scale());
-        let codec = BlockCodec::new(grid.depth(), scale);
-        let mut tree = OccupancyTree::new(grid.depth(), scale);
-        let mut blocks = 0;
-        self.scan(&keys::of_map(Kind::Block, id), &mut |key, value| {
-            let address = keys::block_of(key).filter(|address| holds(grid, *address));
-            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
-            let record = record::open(key, Kind::Block, value)?;
-            not_later(key, &record, stored.revision)?;
-            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
-            tree.set_block(address, view);
-            blocks += 1;
-            Ok(())
-        })?;
-        let mut windows = BTreeMap::new();
-        self.scan(&keys::of_map(Kind::Window, id), &mut |key, value| {
-            let (robot, window) = read_window(key, value, stored.revision)?;
-            windows.insert(robot, window);
-            Ok(())
-        })?;
-        for (what, found, expected) in
-            [("blocks", blocks, counts.blocks), ("windows", windows.len() as u64, counts.windows)]
-        {
-            if found != expected {
-                let why = format!("{found} {what} found of {expected}");
-                return Err(damaged(&keys::of_map(Kind::State, id), &why));
+        let entry = self.entry(id)?;
+        let grid = entry.stored.config.grid();
+        let mut tree = OccupancyTree::new(grid.depth(), entry.stored.config.scale());
+        let blocks = self.records.read_blocks(&entry, &mut |tag, view| tree.set_block(tag.address, view))?;
+        let windows = self.records.read_windows(&entry, blocks.len() as u64)?;
+        self.records.check_groups(&entry, &blocks)?;
+        Ok(LoadedMap { revision: entry.stored.revision, tree, windows })
+    }
+
+    fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
+        let busy = self.busy(id)?;
+        let _held = lock(&busy);
+        let entry = self.entry(id)?;
+        let codec = entry.codec();
+        let blocks = Blocks { records: Arc::clone(&self.records), id, codec };
+        let pager = Arc::new(BlockPager::new(Box::new(blocks), Arc::clone(cache)));
+        let mut tree = PagedTree::new(entry.stored.config.grid().depth(), entry.stored.config.scale());
+        let mut known = self.records.read_groups(&entry)?;
+        if known.len() as u64 != entry.counts.blocks {
+            tracing::warn!(map = id.0, "its groups of blocks do not tell of all blocks: each block is read instead");
+            let blocks = self.records.read_blocks(&entry, &mut |_, _| ())?;
+            known = blocks.into_iter().map(|(address, known)| (known.tag(address), known.mixed)).collect();
+        }
+        let windows = self.records.read_windows(&entry, known.len() as u64)?;
+        for (tag, mixed) in known {
+            if mixed {
+                tree.place_stored(tag, &pager);
+            } else {
+                tree.place_uniform(tag.address, tag.max);
             }
         }
-        Ok(LoadedMap { revision: stored.revision, tree, windows })
+        Ok(OpenMap { revision: entry.stored.revision, tree, pager: Some(pager), windows })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {

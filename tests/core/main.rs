@@ -1,11 +1,14 @@
 //! Tests of the core's public interface: floors 0 to 2.
 
 mod free;
+mod free_lens;
 mod interval_arithmetic;
 mod interval_trig;
 mod interval_vectors;
 mod measurement_cone;
 mod measurement_set;
+mod paged;
+mod paged_support;
 mod paving;
 mod quadtree_grid;
 mod quadtree_support;

@@ -125,6 +125,17 @@ fn flaser_takes_the_lasers_pose_and_the_half_circle() {
     }
 }
 
+#[test]
+fn the_scans_of_a_pose_graph_are_read_and_its_vertices_and_edges_passed_over() {
+    let graph = format!(
+        "#SEQUENTIAL\nVERTEX_SE2 0 1.0 2.0 0.5\n{ROBOTLASER}EDGE_SE2 0 1 0.5 0 0 500 0 0 500 0 5000\nVERTEX_SE2 1 1.0 2.0 0.5\n{ROBOTLASER}"
+    );
+    let (scans, error) = read(graph.as_bytes());
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(scans.iter().map(|scan| scan.line).collect::<Vec<_>>(), [3, 6]);
+    assert_eq!(scans[0].pose, LogPose::Point { x: 1.0, y: 2.0, theta: 0.5 });
+}
+
 const ROBOTLASER: &str = "ROBOTLASER1 0 -1.2 2.4 0.8 20.0 0.01 0 4 1.0 20.0 3.5 25 2 100 200 1 2 0.5 9 9 9 0.1 0.2 0.3 0.4 1000 12.5 host 0.1\n";
 
 #[test]

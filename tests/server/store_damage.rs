@@ -6,14 +6,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::Path;
 use ubbmap::quadtree::BlockAddress;
-use ubbmap::store::{MapId, MapStore, SledOptions, SledStore, StoreError};
+use ubbmap::store::{MapId, MapStore, STORE_FORMAT, SledOptions, SledStore, StoreError};
 
 fn open(directory: &Path) -> Result<SledStore, StoreError> {
     SledStore::open(directory, SledOptions::default())
 }
 
 /// The records as they are on disk, through sled alone.
-fn raw<T>(directory: &Path, edit: impl FnOnce(&sled::Db) -> T) -> T {
+pub fn raw<T>(directory: &Path, edit: impl FnOnce(&sled::Db) -> T) -> T {
     for _ in 0..1000 {
         // sled's own threads let go of the file a little after the store is dropped.
         if let Ok(db) = sled::Config::new().path(directory.join("sled")).flush_every_ms(None).open() {
@@ -27,7 +27,7 @@ fn raw<T>(directory: &Path, edit: impl FnOnce(&sled::Db) -> T) -> T {
 }
 
 /// A record framed as `docs/store-format.md` says, by hand.
-fn framed(key: &[u8], version: u8, revision: u64, content: &[u8]) -> Vec<u8> {
+pub fn framed(key: &[u8], version: u8, revision: u64, content: &[u8]) -> Vec<u8> {
     let mut value = vec![version, key[0]];
     value.extend_from_slice(&revision.to_be_bytes());
     value.extend_from_slice(&(content.len() as u32).to_be_bytes());
@@ -176,7 +176,7 @@ fn a_newer_store_is_refused_as_newer() {
         db.insert([0x01], framed(&[0x01], 1, 0, &content)).unwrap()
     });
     match open(directory.path()) {
-        Err(StoreError::NewerFormat { found: 7, supported: 1, .. }) => {}
+        Err(StoreError::NewerFormat { found: 7, supported: STORE_FORMAT, .. }) => {}
         other => panic!("{other:?}"),
     }
 }

@@ -8,7 +8,7 @@
 use crate::store_support::{Model, assert_same, config, name};
 use std::fs;
 use std::path::{Path, PathBuf};
-use ubbmap::quadtree::{BlockAddress, BlockView, ClassScale, OccupancyTree};
+use ubbmap::quadtree::{BlockAddress, BlockCache, BlockView, ClassScale, OccupancyTree};
 use ubbmap::store::{
     Commit, LoadedMap, MapStore, RobotName, STORE_FORMAT, SequenceWindow, SledOptions, SledStore, read_map_file,
     write_map_file,
@@ -59,6 +59,9 @@ fn contents(depth: u8, classes: u32) -> (LoadedMap, Commit) {
     (map, Commit { revision: 3, blocks, windows })
 }
 
+/// The version of map files, which is not the store's.
+const MAP_FILE_FORMAT: u32 = 1;
+
 const MAPS: [(&str, u8, u32, usize); 4] =
     [("plant-1", 16, 10, 2), ("wide", 9, 40, 1), ("small", 3, 10, 3), ("z_", 8, 4, 1)];
 
@@ -88,9 +91,12 @@ fn write_fixtures() {
             }
         }
     }
-    let mut file = Vec::new();
-    write_map_file(&mut file, &config(16, 10, 2), &contents(16, 10).0).unwrap();
-    fs::write(fixtures().join(format!("map-v{STORE_FORMAT}.ubbmap")), file).unwrap();
+    let target = fixtures().join(format!("map-v{MAP_FILE_FORMAT}.ubbmap"));
+    if !target.exists() {
+        let mut file = Vec::new();
+        write_map_file(&mut file, &config(16, 10, 2), &contents(16, 10).0).unwrap();
+        fs::write(target, file).unwrap();
+    }
 }
 
 fn unpacked(fixture: &str) -> tempfile::TempDir {
@@ -105,8 +111,14 @@ fn unpacked(fixture: &str) -> tempfile::TempDir {
 }
 
 #[test]
-fn a_store_of_version_1_opens() {
-    let directory = unpacked("store-v1");
+fn a_store_of_every_version_opens() {
+    for version in 1..=STORE_FORMAT {
+        opens(&format!("store-v{version}"));
+    }
+}
+
+fn opens(fixture: &str) {
+    let directory = unpacked(fixture);
     let store = SledStore::open(directory.path(), SledOptions::default()).unwrap();
     assert_eq!(store.verify().unwrap().problems, Vec::<String>::new());
     let maps = store.list().unwrap();
@@ -116,6 +128,9 @@ fn a_store_of_version_1_opens() {
         assert_eq!(stored.config, config(u32::from(depth), classes, sensors));
         assert_eq!((stored.created, stored.revision), (1_732_233_600.25, 3));
         assert_same(&store.load(stored.id).unwrap(), &contents(depth, classes).0);
+        let cache = std::sync::Arc::new(BlockCache::new(1));
+        let open = store.open(stored.id, &cache).unwrap();
+        assert_eq!(open.tree.try_whole().unwrap(), contents(depth, classes).0.tree);
     }
     // It is written to as well, and the number of the deleted map is not used again.
     let new = store.create(&name("gone"), &config(9, 10, 1), 1.0).unwrap();

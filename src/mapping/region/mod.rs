@@ -1,9 +1,13 @@
 //! Regions of the plane: closed sets that a query asks about.
 
+mod lens;
 mod polygon;
 mod probe;
+mod rows;
+mod scan;
 mod segment;
 
+pub(super) use lens::{Lens, smallest_node};
 pub(super) use probe::{Cover, Probe};
 pub(super) use segment::Segment;
 

@@ -62,6 +62,14 @@ impl Segment {
         (self.start.0 + t * self.step.0, self.start.1 + t * self.step.1)
     }
 
+    /// How far along the piece, or the line that it is on, the foot of a point is; metres.
+    pub fn along(&self, (x, y): (f64, f64)) -> f64 {
+        if self.length == 0.0 {
+            return 0.0;
+        }
+        ((x - self.start.0) * self.step.0 + (y - self.start.1) * self.step.1) / self.length
+    }
+
     fn offset(&self, square: &Box2) -> Offset {
         let (x, y) = self.start;
         Offset { x: (square.x.lo() - x, square.x.hi() - x), y: (square.y.lo() - y, square.y.hi() - y) }
