@@ -1,11 +1,13 @@
 //! Tests of the core's public interface: floors 0 to 2.
 
 mod free;
+mod gaussian;
 mod interval_arithmetic;
 mod interval_trig;
 mod interval_vectors;
 mod measurement_cone;
 mod measurement_set;
+mod paper;
 mod paving;
 mod quadtree_grid;
 mod quadtree_support;
