@@ -19,6 +19,9 @@ use crate::sensor::{Reading, Scan};
 /// Beyond so many standard deviations an error is taken to be impossible.
 const CUTOFF: f64 = 3.0;
 
+/// So many standard deviations before the measured range, on the axis, the model is `p_free` to the last digit of a float.
+const ON_AXIS: f64 = 7.0;
+
 /// Nor is an angle beyond this, radians: the walk along a beam wants a wedge well below 45 degrees.
 const WIDEST: f64 = 0.7;
 
@@ -66,11 +69,6 @@ impl Default for GaussianModel {
 }
 
 impl GaussianModel {
-    /// The largest angle off the axis that counts, radians.
-    fn widest(&self) -> f64 {
-        (CUTOFF * self.sigma_angle).min(WIDEST)
-    }
-
     /// What one beam says of a point: `ln(p / (1 - p))` at `rho` metres and `alpha` radians off the axis of a beam that
     /// measured `range` (metres; infinite for a beam that met nothing).
     #[must_use]
@@ -107,6 +105,10 @@ pub struct GaussianGrid {
     window: LeafRange,
     width: usize,
     model: GaussianModel,
+    /// `tan` of the largest angle off the axis that counts.
+    widest_tan: f64,
+    /// `ln(p_free / (1 - p_free))`
+    free_log_odds: f32,
     cells: Vec<f32>,
 }
 
@@ -116,7 +118,9 @@ impl GaussianGrid {
     pub fn new(grid: Grid, window: LeafRange, model: GaussianModel) -> Self {
         let width = window.max_x.saturating_sub(window.min_x) as usize;
         let height = window.max_y.saturating_sub(window.min_y) as usize;
-        Self { grid, window, width, model, cells: vec![0.0; width * height] }
+        let widest_tan = (CUTOFF * model.sigma_angle).min(WIDEST).tan();
+        let free_log_odds = (model.p_free / (1.0 - model.p_free)).ln() as f32;
+        Self { grid, window, width, model, widest_tan, free_log_odds, cells: vec![0.0; width * height] }
     }
 
     /// The cells that it has, as leaves of the map's lattice.
@@ -172,7 +176,7 @@ impl GaussianGrid {
         let (main, cross) = swap(beam.axis);
         let (start, aside) = swap(beam.origin);
         let slope = cross / main;
-        let spread = self.model.widest().tan();
+        let spread = self.widest_tan;
         // Half a cell as the axis sees it, at most; how wide the wedge is at a distance, with the cell at its side.
         let extent = std::f64::consts::FRAC_1_SQRT_2;
         let half_width = |u: f64| (u + extent) * spread + extent;
@@ -200,12 +204,16 @@ impl GaussianGrid {
             along = beam.range.min(beam.reach).clamp(along - extent, along + extent);
             aside = (aside - extent).max(0.0);
         }
-        let (rho, alpha) = (along.hypot(aside), aside.atan2(along));
-        if along < 0.0 || rho > beam.reach || alpha > self.model.widest() {
+        let square = along * along + aside * aside;
+        if along < 0.0 || aside > along * self.widest_tan || square > beam.reach * beam.reach {
             return;
         }
         let cell = self.grid.resolution();
-        let said = self.model.log_odds(rho * cell, alpha, beam.range * cell) as f32;
+        let said = if aside == 0.0 && (beam.range - along) * cell > ON_AXIS * self.model.sigma_range {
+            self.free_log_odds
+        } else {
+            self.model.log_odds(square.sqrt() * cell, aside.atan2(along), beam.range * cell) as f32
+        };
         let (least, most) = self.model.log_odds_range;
         self.cells[index] = (self.cells[index] + said).min(most).max(least);
     }
