@@ -15,6 +15,9 @@ const OBSTACLE_RETURNS: u32 = 10;
 /// Longest side of a whole map's panel, pixels.
 const PANEL: u32 = 1200;
 
+/// Most nodes along a side of it: larger maps are drawn by the maxima of coarser nodes.
+const MOST: u32 = 2400;
+
 /// Side of the enlarged section, metres, and of its panels, pixels.
 const SECTION: f64 = 8.0;
 const SECTION_PANEL: u32 = 400;
@@ -32,15 +35,18 @@ pub enum View<'a> {
 }
 
 impl View<'_> {
-    /// Grey of a leaf, and what it is called.
-    fn leaf(&self, leaf: NodeAddress) -> (u8, bool) {
+    /// Grey of a node, and whether it is called free: by the maximum of its leaves, which are `levels` below.
+    fn node(&self, node: NodeAddress, levels: u8) -> (u8, bool) {
         match self {
             Self::Tree(tree) => {
-                let class = tree.max_class(leaf);
+                let class = tree.max_class(node);
                 (shade(class, tree.scale()), class < tree.scale().unknown())
             }
             Self::Grid(grid) => {
-                let log_odds = grid.log_odds(leaf);
+                let (x, y, side) = (node.x << levels, node.y << levels, 1_u32 << levels);
+                let leaf = |x, y| NodeAddress { depth: node.depth + levels, x, y };
+                let below = (y..y + side).flat_map(|y| (x..x + side).map(move |x| leaf(x, y)));
+                let log_odds = below.map(|leaf| grid.log_odds(leaf)).fold(f32::NEG_INFINITY, f32::max);
                 (shade_of_log_odds(log_odds), log_odds < 0.0)
             }
         }
@@ -61,16 +67,23 @@ fn shade_of_log_odds(log_odds: f32) -> u8 {
     shade(class, scale)
 }
 
-/// The leaves of a range of one map, `pixels` a leaf; red where at least [`OBSTACLE_RETURNS`] returns fell into a leaf that is
+/// The nodes of a range of one map, of a depth so many levels above the leaves, `pixels` a node; red where at least [`OBSTACLE_RETURNS`] returns fell into a leaf that is
 /// called free, where `lost` has their counts.
-fn panel(view: View<'_>, range: &LeafRange, depth: u8, pixels: u32, title: &str, lost: Option<&[u32]>) -> Drawing {
+fn panel(
+    view: View<'_>,
+    range: &LeafRange,
+    (depth, levels): (u8, u8),
+    pixels: u32,
+    title: &str,
+    lost: Option<&[u32]>,
+) -> Drawing {
     let (columns, rows) = (range.max_x - range.min_x, range.max_y - range.min_y);
     let top = LINE + 4;
     let mut drawing = Drawing::new(columns * pixels, rows * pixels + top, PAPER);
     for row in 0..rows {
         for column in 0..columns {
-            let leaf = NodeAddress { depth, x: range.min_x + column, y: range.min_y + row };
-            let (grey, is_free) = view.leaf(leaf);
+            let node = NodeAddress { depth, x: range.min_x + column, y: range.min_y + row };
+            let (grey, is_free) = view.node(node, levels);
             let returns = lost.map_or(0, |hits| hits[(row * columns + column) as usize]);
             let colour = if is_free && returns >= OBSTACLE_RETURNS { LOST } else { [grey; 3] };
             let at = (i64::from(column * pixels), i64::from(top + (rows - 1 - row) * pixels));
@@ -97,13 +110,23 @@ pub type Named<'a> = (&'a str, View<'a>);
 /// Figure 4: whole maps one below the other, or beside where they are narrow.
 #[must_use]
 pub fn whole_maps(grid: &Grid, known: &LeafRange, maps: &[Named<'_>]) -> Drawing {
-    let range = grown(known, MARGIN, grid.side());
+    let mut range = grown(known, MARGIN, grid.side());
+    let mut levels = 0;
+    while (range.max_x - range.min_x).max(range.max_y - range.min_y) > MOST && levels < grid.depth() {
+        levels += 1;
+        range = LeafRange {
+            min_x: range.min_x >> 1,
+            min_y: range.min_y >> 1,
+            max_x: range.max_x.div_ceil(2),
+            max_y: range.max_y.div_ceil(2),
+        };
+    }
     let (width, height) = (range.max_x - range.min_x, range.max_y - range.min_y);
     // Wide maps stand below each other.
     let (columns, panel_side) = if 2 * width > 3 * height { (1, PANEL) } else { (maps.len(), PANEL / 2) };
     let pixels = (panel_side / width.max(height).max(1)).clamp(1, 6);
-    let parts: Vec<Drawing> =
-        maps.iter().map(|(title, view)| panel(*view, &range, grid.depth(), pixels, title, None)).collect();
+    let draw = |(title, view): &Named<'_>| panel(*view, &range, (grid.depth() - levels, levels), pixels, title, None);
+    let parts: Vec<Drawing> = maps.iter().map(draw).collect();
     Drawing::beside(&parts, columns)
 }
 
@@ -124,7 +147,7 @@ pub fn differing_section(
     let is_lost = |x: u32, y: u32| {
         let leaf = NodeAddress { depth: grid.depth(), x, y };
         let returns = counts[((y - known.min_y) * columns + x - known.min_x) as usize];
-        returns >= OBSTACLE_RETURNS && !holds.leaf(leaf).1 && loses.leaf(leaf).1
+        returns >= OBSTACLE_RETURNS && !holds.node(leaf, 0).1 && loses.node(leaf, 0).1
     };
     // Lost leaves by squares of `step`, then windows of eight of them.
     let (across, up) = (columns.div_ceil(step) as usize, (known.max_y - known.min_y).div_ceil(step) as usize);
@@ -155,7 +178,7 @@ pub fn differing_section(
 pub fn section(grid: &Grid, range: &LeafRange, scans: &[Scan], maps: &[Named<'_>]) -> Drawing {
     let lost = hits(grid, range, scans);
     let pixels = (SECTION_PANEL / (range.max_x - range.min_x).max(1)).max(1);
-    let draw = |(title, view): &Named<'_>| panel(*view, range, grid.depth(), pixels, title, Some(&lost));
+    let draw = |(title, view): &Named<'_>| panel(*view, range, (grid.depth(), 0), pixels, title, Some(&lost));
     let parts: Vec<Drawing> = maps.iter().map(draw).collect();
     Drawing::beside(&parts, 3)
 }
@@ -170,7 +193,7 @@ pub fn lost_leaves(grid: &Grid, range: &LeafRange, scans: &[Scan], view: View<'_
         let index: u32 = index;
         let leaf =
             NodeAddress { depth: grid.depth(), x: range.min_x + index % columns, y: range.min_y + index / columns };
-        (all + 1, lost + u64::from(view.leaf(leaf).1))
+        (all + 1, lost + u64::from(view.node(leaf, 0).1))
     })
 }
 

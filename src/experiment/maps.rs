@@ -1,6 +1,6 @@
 //! Maps by each method from the same scans, and what they say of points.
 
-use super::octomap::{Insertion, OctoMap};
+use super::octomap::OctoMap;
 use crate::mapping::{CellPoint, EvidenceRule, GaussianGrid, GaussianModel, MapConfig, Surveyor};
 use crate::quadtree::{ClassScale, Grid, LeafRange, NodeAddress, OccupancyTree};
 use crate::sensor::{PoseBox, PoseLimits, Reading, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
@@ -9,8 +9,11 @@ use rustix::time::{ClockId, clock_gettime};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Most cells of a dense grid: 1 GiB of log-odds and as much to ask them.
-const MAX_CELLS: u64 = 1 << 28;
+/// Most cells of a dense grid: half a GiB of log-odds.
+const MAX_CELLS: u64 = 1 << 27;
+
+/// Most cells that OctoMap is asked about, as text: beyond, its area is left out.
+const MAX_ASKED: usize = 1 << 23;
 
 /// Leaves about the returns that a dense grid has too.
 const MARGIN: f64 = 4.0;
@@ -134,8 +137,8 @@ pub struct Built<M> {
 pub struct Judged {
     /// Of each point.
     pub called: Vec<Called>,
-    /// Square metres called free.
-    pub free_area: f64,
+    /// Square metres called free, where they were counted.
+    pub free_area: Option<f64>,
 }
 
 impl Judged {
@@ -223,32 +226,30 @@ impl Setup {
                     .map(|point| at(&built.grid, *point))
                     .map(|leaf| leaf.map_or(Called::Unknown, |leaf| Called::of_log_odds(built.map.log_odds(leaf))));
                 let free = built.map.cells().iter().filter(|cell| **cell < 0.0).count();
-                Some(Judged { called: called.collect(), free_area: area(free as u64) })
+                Some(Judged { called: called.collect(), free_area: Some(area(free as u64)) })
             }
-            Method::OctoMap => match &self.octomap {
+            Method::OctoMap => match self.octomap(scans)? {
                 None => None,
-                Some(driver) => {
+                Some(peer) => {
                     let grid = self.grid()?;
                     let mut asked = points.to_vec();
-                    asked.extend(centres(&grid, window(&grid, scans)?));
-                    let peer = OctoMap::new(driver, &self.folder, scans)?;
+                    let cells = centres(&grid, window(&grid, scans)?, MAX_ASKED);
+                    asked.extend(&cells);
                     let answers = peer.occupancy(self.resolution, &asked)?;
                     let mut called: Vec<Called> = answers.into_iter().map(Called::of_probability).collect();
                     let free = called.split_off(points.len()).into_iter().filter(|called| called.is_free()).count();
-                    Some(Judged { called, free_area: area(free as u64) })
+                    Some(Judged { called, free_area: (!cells.is_empty()).then(|| area(free as u64)) })
                 }
             },
         })
     }
 
-    /// Scans a processor second of OctoMap, and its version; `None` where it is not there.
+    /// OctoMap with its scans; `None` where it is not there.
     ///
     /// # Errors
-    /// When the driver fails.
-    pub fn time_octomap(&self, scans: &[Scan]) -> anyhow::Result<Option<super::octomap::Figures>> {
-        let Some(driver) = &self.octomap else { return Ok(None) };
-        let peer = OctoMap::new(driver, &self.folder, scans)?;
-        Ok(Some(peer.insert(self.resolution, 1, Insertion::Discrete)?))
+    /// When the scans cannot be written for the driver.
+    pub fn octomap(&self, scans: &[Scan]) -> anyhow::Result<Option<OctoMap>> {
+        self.octomap.as_ref().map(|driver| OctoMap::new(driver, &self.folder, scans)).transpose()
     }
 }
 
@@ -258,11 +259,15 @@ pub fn judge_tree(tree: &OccupancyTree, grid: &Grid, points: &[(f64, f64)]) -> J
     let cell = grid.resolution() * grid.resolution();
     let class = |(x, y): &(f64, f64)| grid.leaf_at(*x, *y).map(|leaf| tree.max_class(leaf));
     let called = points.iter().map(|point| class(point).map_or(Called::Unknown, |c| Called::of_class(c, tree.scale())));
-    Judged { called: called.collect(), free_area: tree.statistics().free_cells as f64 * cell }
+    Judged { called: called.collect(), free_area: Some(tree.statistics().free_cells as f64 * cell) }
 }
 
-/// The middles of the leaves of a range, row by row.
-fn centres(grid: &Grid, range: LeafRange) -> Vec<(f64, f64)> {
+/// The middles of the leaves of a range, row by row; none where there are more than `most`.
+fn centres(grid: &Grid, range: LeafRange, most: usize) -> Vec<(f64, f64)> {
+    let count = (range.max_x - range.min_x) as usize * (range.max_y - range.min_y) as usize;
+    if count > most {
+        return Vec::new();
+    }
     let ((left, low), cell) = (grid.origin(), grid.resolution());
     let middle = move |origin: f64, index: u32| origin + (f64::from(index) + 0.5) * cell;
     let row = move |y: u32| (range.min_x..range.max_x).map(move |x| (middle(left, x), middle(low, y)));

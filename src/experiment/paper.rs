@@ -3,6 +3,7 @@
 use super::beams::{measurement_boxes, single_beam};
 use super::figures::{View, coarse, differing_section, lost_leaves, section, whole_maps};
 use super::maps::{Built, Method, RULES, Setup, middle, window, with_pose};
+use super::octomap::Insertion;
 use super::report::{Block, Cell, Table};
 use super::{Experiment, Tell};
 use crate::mapping::{CellPoint, EvidenceRule, GaussianGrid};
@@ -236,14 +237,23 @@ fn paving(maps: &Maps) -> anyhow::Result<String> {
         .to_owned())
 }
 
-/// Run time of each method on one core, in rounds.
+/// Run time of each method on one core, in alternating rounds.
 fn run_time(experiment: &Experiment, setup: &Setup) -> anyhow::Result<Table> {
     let scans = &experiment.scans;
-    let mut seconds: Vec<Vec<f64>> = vec![Vec::new(); RULES.len() + 1];
+    let mut names: Vec<String> = vec!["Gaussian grid".to_owned()];
+    names.extend(RULES.iter().map(|rule| Method::Rule(*rule).name().to_owned()));
+    let mut seconds: Vec<Vec<f64>> = vec![Vec::new(); RULES.len() + 2];
+    let octomap = setup.octomap(scans)?;
     for _ in 0..ROUNDS {
         seconds[0].push(setup.gaussian(CellPoint::Nearest, scans)?.seconds);
         for (rule, seconds) in RULES.iter().zip(&mut seconds[1..]) {
             seconds.push(setup.tree(*rule, scans)?.seconds);
+        }
+        if let Some(peer) = &octomap {
+            let figures = peer.insert(setup.resolution, 1, Insertion::Discrete)?;
+            seconds[RULES.len() + 1].push(figures.seconds);
+            names.truncate(RULES.len() + 1);
+            names.push(format!("OctoMap {}", figures.version));
         }
     }
     let caption = format!(
@@ -252,26 +262,11 @@ fn run_time(experiment: &Experiment, setup: &Setup) -> anyhow::Result<Table> {
     );
     let columns = ["map", "seconds", "scans a second", "times the grid's"];
     let mut table = Table::new("run-time", caption, &columns);
-    let names = std::iter::once("Gaussian grid").chain(RULES.iter().map(|rule| Method::Rule(*rule).name()));
-    for (name, own) in names.zip(&seconds) {
+    for (name, own) in names.into_iter().zip(&seconds) {
         let ratios = own.iter().zip(&seconds[0]).map(|(own, grid)| own / grid).collect();
-        let median_seconds = median(own.clone());
-        let rate = scans.len() as f64 / median_seconds.max(1e-9);
-        table.rows.push(vec![
-            name.into(),
-            Cell::Number(median_seconds, 3),
-            Cell::Number(rate, 0),
-            Cell::Number(median(ratios), 3),
-        ]);
-    }
-    if let Some(figures) = setup.time_octomap(scans)? {
-        let ratio = figures.seconds / median(seconds[0].clone()).max(1e-9);
-        table.rows.push(vec![
-            format!("OctoMap {}", figures.version).into(),
-            Cell::Number(figures.seconds, 3),
-            Cell::Number(figures.scans_per_second, 0),
-            Cell::Number(ratio, 3),
-        ]);
+        let middle = median(own.clone());
+        let rate = Cell::Number(scans.len() as f64 / middle.max(1e-9), 0);
+        table.rows.push(vec![name.into(), Cell::Number(middle, 3), rate, Cell::Number(median(ratios), 3)]);
     }
     Ok(table)
 }

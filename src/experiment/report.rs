@@ -23,6 +23,12 @@ impl Cell {
         Self::Number(count as f64, 0)
     }
 
+    /// A number that may not have been measured.
+    #[must_use]
+    pub fn known(value: Option<f64>, decimals: usize) -> Self {
+        value.map_or(Self::Missing, |value| Self::Number(value, decimals))
+    }
+
     fn shown(&self) -> String {
         match self {
             Self::Text(text) => text.clone(),

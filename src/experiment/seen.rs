@@ -57,7 +57,7 @@ fn building(experiment: &Experiment, tell: &mut Tell<'_>) -> anyhow::Result<Tabl
     let mut table = Table::new("seen-building", caption, &columns);
     for (position, degrees) in POSES {
         tell(&format!("seen obstacles: the building, poses +-{position} m, +-{degrees} deg"));
-        let scans = simulated.claimed(position, degrees.to_radians(), 0.0)?.0;
+        let scans = simulated.claimed((position, degrees.to_radians()), 0.0, 0)?.0;
         let poses = pose_words(position, degrees);
         for method in METHODS {
             let Some(judged) = setup.judge(method, &scans, &simulated.points)? else { continue };
@@ -65,7 +65,7 @@ fn building(experiment: &Experiment, tell: &mut Tell<'_>) -> anyhow::Result<Tabl
             table.rows.push(vec![
                 poses.clone().into(),
                 method.name().into(),
-                Cell::Number(judged.free_area, 1),
+                Cell::known(judged.free_area, 1),
                 Cell::count(judged.called.len() as u64),
                 Cell::count(free),
                 percent(judged.share(Called::is_free)),
@@ -171,13 +171,14 @@ fn left_out(experiment: &Experiment, tell: &mut Tell<'_>) -> anyhow::Result<Tabl
     ];
     let caption = format!("{}: returns of scans left out, against the map of the others.", experiment.log);
     let mut table = Table::new("seen-log", caption, &columns);
-    for (poses, scans) in [("exact".to_owned(), &even), (pose_words(position, heading.to_degrees()), &boxed)] {
+    let uncertain = (position > 0.0 || heading > 0.0).then(|| (pose_words(position, heading.to_degrees()), &boxed));
+    for (poses, scans) in std::iter::once(("exact".to_owned(), &even)).chain(uncertain) {
         // The grid and OctoMap know no boxes: they are the same for both.
         let methods = METHODS.iter().filter(|method| poses == "exact" || matches!(method, Method::Rule(_)));
         for method in methods {
             tell(&format!("seen obstacles: {} left out, {}", experiment.log, method.name()));
             let Some(judged) = experiment.setup().judge(*method, scans, &points)? else { continue };
-            let mut row = vec![poses.clone().into(), method.name().into(), Cell::Number(judged.free_area, 1)];
+            let mut row = vec![poses.clone().into(), method.name().into(), Cell::known(judged.free_area, 1)];
             row.push(Cell::count(questions.len() as u64));
             row.extend(answers(&questions, &judged.called));
             table.rows.push(row);

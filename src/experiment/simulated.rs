@@ -17,7 +17,7 @@ const INSIDE: f64 = 1e-6;
 const POINTS_FROM: usize = 4;
 
 /// Scans of a robot in a row whose pose is lost together.
-pub const BURST: usize = 20;
+pub const BURST: usize = 8;
 
 /// By how many half widths of its box a lost pose is off, at least and at most.
 pub const LOST: (f64, f64) = (5.0, 20.0);
@@ -52,12 +52,17 @@ impl Simulated {
 
     /// The scans with pose boxes of half widths `position`, `heading`, the claimed pose anywhere within these of the truth; and
     /// how many of them break that: about the share `broken`, in bursts of [`BURST`] scans of a robot, whose claimed pose is off
-    /// by [`LOST`] times its box in one direction, as when a localisation fails.
+    /// by [`LOST`] times its box in one direction, as when a localisation fails. Each `draw` is another one.
     ///
     /// # Errors
     /// When a box is refused.
-    pub fn claimed(&self, position: f64, heading: f64, broken: f64) -> anyhow::Result<(Vec<Scan>, usize)> {
-        let mut random = ChaCha8Rng::seed_from_u64(self.seed ^ 0x5eed);
+    pub fn claimed(
+        &self,
+        (position, heading): (f64, f64),
+        broken: f64,
+        draw: u64,
+    ) -> anyhow::Result<(Vec<Scan>, usize)> {
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed.wrapping_mul(1000).wrapping_add(draw));
         let mut claims = Vec::with_capacity(self.scans.len());
         let mut bursts = [(0, [0.0; 3]); ROBOTS];
         let mut count = 0;

@@ -145,8 +145,8 @@ impl Chart {
             for pair in series.points.windows(2) {
                 drawing.line(at(pair[0].0, pair[0].1), at(pair[1].0, pair[1].1), 2, *colour);
             }
-            for (x, y) in &series.points {
-                let (x, y) = at(*x, *y);
+            for (x, y) in series.points.iter().map(|(x, y)| at(*x, *y)).filter(|(x, y)| x.is_finite() && y.is_finite())
+            {
                 drawing.fill((x.round() as i64 - 2, y.round() as i64 - 2), (5, 5), *colour);
             }
         }
