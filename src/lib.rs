@@ -14,7 +14,7 @@
 //! | 4 | `service` | named maps, one writer each, queries |
 //! | 5 | `wire` | messages of the interface and their conversion |
 //! | 5 | `transport` | HTTP: translation only |
-//! | 6 | `config`, `telemetry`, `app`, `logs`, `picture`, `cli` | the program |
+//! | 6 | `config`, `telemetry`, `app`, `logs`, `picture`, `experiment`, `cli` | the program |
 //!
 //! Floors 0 to 2 do no I/O, read no clock and are not async; they build with `--no-default-features`.
 
@@ -31,6 +31,8 @@ pub mod app;
 pub mod cli;
 #[cfg(feature = "server")]
 pub mod config;
+#[cfg(feature = "server")]
+pub mod experiment;
 #[cfg(feature = "server")]
 pub mod logs;
 #[cfg(feature = "server")]

@@ -4,6 +4,7 @@ mod build;
 mod check;
 mod client;
 mod demo;
+mod experiment;
 mod map;
 mod mapper;
 mod options;
@@ -35,6 +36,7 @@ enum Command {
     Replay(Box<replay::Replay>),
     Map(map::Map),
     Check(check::Check),
+    Experiment(Box<experiment::RunExperiment>),
 }
 
 /// Parses the arguments, runs the command and returns its exit code: 0 done, 1 failed, 2 bad usage, 64 bad configuration.
@@ -55,6 +57,7 @@ pub fn run() -> ExitCode {
         },
         Command::Map(map) => map.run(),
         Command::Check(check) => check.run(),
+        Command::Experiment(experiment) => experiment.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -94,6 +94,14 @@ pub(super) struct SensorOptions {
 }
 
 impl SensorOptions {
+    /// The sensor of a log.
+    ///
+    /// # Errors
+    /// Bad usage, naming the value.
+    pub(super) fn model(&self, log: &LogSensor) -> Result<SensorModel, Failure> {
+        SensorModel::new(self.spec(log)).map_err(|error| Failure::Usage(error.to_string()))
+    }
+
     fn spec(&self, log: &LogSensor) -> SensorSpec {
         let usual = SensorSpec::default();
         let (range_error_minus, range_error_plus) =
@@ -120,7 +128,7 @@ pub(super) fn map_config(map: &MapOptions, sensor: &SensorOptions, log: &LogSens
     let usage = |error: &dyn std::fmt::Display| Failure::Usage(error.to_string());
     let grid = Grid::new(map.resolution, map.depth, map.origin).map_err(|error| usage(&error))?;
     let scale = ClassScale::new(map.classes).map_err(|error| usage(&error))?;
-    let model = SensorModel::new(sensor.spec(log)).map_err(|error| usage(&error))?;
+    let model = sensor.model(log)?;
     let sensors = BTreeMap::from([(SENSOR.to_owned(), model)]);
     MapConfig::new(grid, scale, map.evidence.rule(), map.min_obstacle_width, sensors).map_err(|error| usage(&error))
 }

@@ -7,6 +7,7 @@
 mod config;
 mod evidence;
 mod free;
+mod gaussian;
 mod outside;
 pub mod reference;
 mod region;
@@ -14,4 +15,5 @@ mod region;
 pub use config::{EvidenceRule, MAX_REACH_CELLS, MapConfig, MapConfigError, is_name};
 pub use evidence::{Fault, Surveyor};
 pub use free::{FreeAnswer, Reason, Witness, guaranteed_free, try_guaranteed_free};
+pub use gaussian::{CellPoint, GaussianGrid, GaussianModel};
 pub use region::{MAX_REGION_COORDINATE, Region, RegionError, RegionLimits};

@@ -2,8 +2,10 @@
 //!
 //! Free is white, unknown grey, occupied black, graded by class; the picture is cropped to what is known, small maps
 //! are drawn with several pixels a cell and huge ones by the coarse maxima of the tree, so nothing occupied is lost. A
-//! band below has a scale bar, a legend and a caption.
+//! band below has a scale bar, a legend and a caption. [`Drawing`] and [`Chart`] are the figures of reports.
 
+mod chart;
+mod drawing;
 mod font;
 mod footer;
 
@@ -11,6 +13,9 @@ use crate::quadtree::{BLOCK_SIDE, BlockView, Class, ClassScale, Grid, LeafRange,
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
+
+pub use chart::{Axis, Chart, LINES, Series, short};
+pub use drawing::{Colour, Drawing, INK, LINE, PAPER};
 
 /// Longest side of the map's part of a picture, pixels.
 pub const MAX_SIDE: u32 = 4000;
@@ -25,7 +30,7 @@ const MAX_SCALE: u32 = 8;
 const MIN_WIDTH: u32 = 560;
 
 /// Grey of unknown.
-const UNKNOWN: u8 = 176;
+pub const UNKNOWN: u8 = 176;
 
 /// Grey of the class just below unknown; lower ones are lighter, down to white.
 const BARELY_FREE: u8 = 226;
@@ -78,8 +83,9 @@ fn extent(leaves: &[Class; 64 * 64], unknown: Class, side: u32) -> Option<(u32, 
     found
 }
 
-/// The grey of a class.
-fn shade(class: Class, scale: ClassScale) -> u8 {
+/// The grey of a class: white is free, black occupied.
+#[must_use]
+pub fn shade(class: Class, scale: ClassScale) -> u8 {
     let between = |from: u8, to: u8, step: u8, steps: u8| {
         let share = if steps == 0 { 1.0 } else { f64::from(step) / f64::from(steps) };
         (f64::from(from) + (f64::from(to) - f64::from(from)) * share).round() as u8

@@ -2,6 +2,7 @@
 
 mod free;
 mod free_lens;
+mod gaussian;
 mod interval_arithmetic;
 mod interval_trig;
 mod interval_vectors;
@@ -9,6 +10,7 @@ mod measurement_cone;
 mod measurement_set;
 mod paged;
 mod paged_support;
+mod paper;
 mod paving;
 mod quadtree_grid;
 mod quadtree_support;

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test may fail loudly")]
 
 mod cli_build;
+mod cli_experiment;
 mod cli_picture;
 mod cli_server;
 mod cli_support;
@@ -16,6 +17,7 @@ mod http_support;
 mod http_system;
 mod logs;
 mod logs_real;
+mod report;
 mod service_commits;
 mod service_hostile;
 mod service_inserts;

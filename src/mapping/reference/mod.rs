@@ -6,7 +6,8 @@
 //! * the measurement set (6): points drawn from it, and the paper's natural interval extension of it;
 //! * X_EMP `outer` (8), (9) and `inner` (10), (11): points drawn from the empty part, and the natural interval test;
 //! * X_EMP `guaranteed`: the rule for a whole box of the model's section 4, as it is written ([`Reference::proves`]), and
-//!   its pointwise form ([`Reference::is_point_free`], [`Reference::is_proven_by_points`]).
+//!   its pointwise form ([`Reference::is_point_free`], [`Reference::is_proven_by_points`]);
+//! * the paper's algorithms node by node: [`sivia`] (Alg. 1), [`buildsp`], [`ubbmap`] (Alg. 2).
 //!
 //! Questions that give an upper bound of a set are answered in outward-rounded intervals, those that draw points in plain
 //! floating point (a drawn point is off by some `1e-15` of its coordinates).
@@ -14,8 +15,10 @@
 mod guaranteed;
 mod paper;
 mod pointwise;
+mod subpaving;
 
 pub use pointwise::pointwise_rho;
+pub use subpaving::{Enclosure, Subpaving, buildsp, sivia, ubbmap};
 
 use crate::interval::{Box2, Interval};
 use crate::sensor::{Reading, Scan};

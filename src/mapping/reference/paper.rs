@@ -1,7 +1,7 @@
 //! The paper's sets: points drawn from them, and the natural interval tests.
 
 use super::{Pose, Reference, draw};
-use crate::interval::{Box2, Interval};
+use crate::interval::{Box2, Interval, Verdict};
 use crate::sensor::{Reading, natural_measurement_box};
 use std::f64::consts::TAU;
 
@@ -55,7 +55,7 @@ impl Reference<'_> {
         natural_measurement_box(self.scan.pose(), self.scan.sensor(), self.scan.angle(beam), near, far).meets(*leaf)
     }
 
-    /// The paper's inclusion test (8), (9): can a point of the box lie in the empty part of a beam?
+    /// The paper's inclusion test (8), (9): do the points of a box lie in the empty part of a beam, for every pose?
     ///
     /// (8) is read as the inverse of (6), every operation replaced by its natural interval extension: with
     /// `[a] = [theta] + phi_s` and `p` the box,
@@ -67,11 +67,12 @@ impl Reference<'_> {
     /// phi   = atan2(q_y, q_x) - a
     /// ```
     ///
-    /// and (9) as `[d]` meets `[0, d_i-]` and `[phi]` meets `[phi_i]`. For `phi_b = 0` the beam is a strip, and `q` from the
-    /// sensor turned by `-(a + phi_i)` must meet `[0, d_i-] x [-w_b/2, w_b/2]`. An angle error widens `phi_i` and `[phi_i]`.
+    /// and (9) as `[d]` within (or meeting) `[0, d_i-]` and `[phi]` within (or meeting) `[phi_i]`. For `phi_b = 0` the beam is
+    /// a strip, and `q` from the sensor turned by `-(a + phi_i)` is held against `[0, d_i-] x [-w_b/2, w_b/2]`. An angle error
+    /// widens `phi_i` and `[phi_i]`.
     #[must_use]
-    pub fn may_be_empty(&self, beam: usize, leaf: &Box2) -> bool {
-        let Some(near) = self.empty_to(beam) else { return false };
+    pub fn inclusion(&self, beam: usize, leaf: &Box2) -> Verdict {
+        let Some(near) = self.empty_to(beam) else { return Verdict::No };
         let spec = self.scan.sensor().spec();
         let pose = self.scan.pose();
         let (sin, cos) = (pose.theta().sin(), pose.theta().cos());
@@ -85,7 +86,7 @@ impl Reference<'_> {
         if spec.beam_opening == 0.0 {
             let half = 0.5 * spec.beam_diameter;
             let (along, across) = (qx * axis.cos() + qy * axis.sin(), qy * axis.cos() - qx * axis.sin());
-            return along.meets(free) && across.meets(Interval::spanning(-half, half));
+            return is_within(along, free).and(is_within(across, Interval::spanning(-half, half)));
         }
         let half = Interval::point(0.5 * spec.beam_opening);
         let offset = if spec.beam_diameter == 0.0 {
@@ -94,11 +95,20 @@ impl Reference<'_> {
             half.cos() / half.sin() * Interval::point(spec.beam_diameter) * Interval::point(0.5)
         };
         let (qx, qy) = (qx + offset * axis.cos(), qy + offset * axis.sin());
-        if !(qx.hypot(qy) - offset).meets(free) {
-            return false;
-        }
         let directions = angle + Interval::spanning(-half.hi(), half.hi());
-        qx.contains(0.0) && qy.contains(0.0) || meets_as_angle(qy.atan2(qx) - heading, directions)
+        let direction = if qx.contains(0.0) && qy.contains(0.0) {
+            // The box holds the apex: any direction.
+            Verdict::Unknown
+        } else {
+            is_within_as_angle(qy.atan2(qx) - heading, directions)
+        };
+        is_within(qx.hypot(qy) - offset, free).and(direction)
+    }
+
+    /// Can a point of the box lie in the empty part of a beam, by (8) and (9)? X_EMP `outer` (12) holds nothing else.
+    #[must_use]
+    pub fn may_be_empty(&self, beam: usize, leaf: &Box2) -> bool {
+        self.inclusion(beam, leaf).is_possibly()
     }
 
     /// The test of X_EMP `inner` (10), (11): a box and its four corners, each give or take `margin` metres, pass the test
@@ -132,14 +142,23 @@ pub(super) fn corners(square: &Box2) -> [(f64, f64); 4] {
     [(x.lo(), y.lo()), (x.hi(), y.lo()), (x.hi(), y.hi()), (x.lo(), y.hi())]
 }
 
-/// Do two intervals of angles have a direction in common?
-fn meets_as_angle(a: Interval, b: Interval) -> bool {
+/// Are the members of an interval in another one: all, none, or some?
+fn is_within(a: Interval, b: Interval) -> Verdict {
+    match (b.encloses(a), b.meets(a)) {
+        (true, _) => Verdict::Yes,
+        (false, true) => Verdict::Unknown,
+        (false, false) => Verdict::No,
+    }
+}
+
+/// The same for intervals of directions.
+fn is_within_as_angle(a: Interval, b: Interval) -> Verdict {
     if a.width() >= TAU || b.width() >= TAU {
-        return true;
+        return Verdict::Unknown;
     }
     let turns = ((b.mid() - a.mid()) / TAU).round();
-    (-1..=1).any(|extra| {
+    (-1..=1).fold(Verdict::No, |found, extra| {
         let turn = Interval::point(turns + f64::from(extra)) * Interval::spanning(TAU.next_down(), TAU.next_up());
-        (a + turn).meets(b)
+        found.or(is_within(a + turn, b))
     })
 }
