@@ -53,7 +53,9 @@ impl Rows {
         };
         let at = |y: f64| y.clamp(bottom, bottom + height);
         let (left, right) = if slope > 0.0 { (self.low.1, self.high.1) } else { (self.high.1, self.low.1) };
-        (self.edge(at(left), -1.0, slope), self.edge(at(right), 1.0, slope))
+        let (left, right) = (self.edge(at(left), -1.0, slope), self.edge(at(right), 1.0, slope));
+        // Rounding may put the edges of a thin capsule on one another.
+        (left.min(right), left.max(right))
     }
 
     /// The edge at a height, to the right (`side` 1) or to the left (-1).
