@@ -135,8 +135,10 @@ pub fn errors(experiment: &Experiment, tell: &mut Tell<'_>) -> anyhow::Result<Ve
         "guaranteed m2",
     ];
     let caption = format!(
-        "Area called free (class below unknown) and surely free (class 1) with one value changed, {} scans. `outer` grows with \
-         every error: what it calls free may be touched, not empty. `guaranteed` shrinks: what it calls free is proven.",
+        "Area called free (class below unknown) and surely free (class 1) with one value changed, {} scans. What `guaranteed` calls \
+         free is proven, so it shrinks with every error of range or pose. `inner` grows with those of the pose, since its corners may \
+         pass for different poses, and so may `outer`. Opening and diameter are no errors but the width in which detection is certain: \
+         a wider beam leaves smaller gaps.",
         scans.len()
     );
     let mut table = Table::new("errors", caption, &columns);
