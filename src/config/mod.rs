@@ -6,6 +6,7 @@ mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod zenoh;
 
 use crate::mapping::RegionLimits;
 use crate::sensor::{PoseLimits, ScanLimits};
@@ -16,6 +17,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use error::ConfigError;
+pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,6 +59,8 @@ pub struct Config {
     pub limits: Limits,
     /// One map's writer.
     pub writer: Writer,
+    /// The transport over Zenoh.
+    pub zenoh: Zenoh,
     /// The end of the server.
     pub shutdown: Shutdown,
 }
@@ -95,6 +99,10 @@ pub struct Limits {
     pub connections: usize,
     /// Most requests worked on at once.
     pub requests: usize,
+    /// Most streams of scans and watches open at once.
+    pub streams: usize,
+    /// Most scans of one stream that are not acknowledged yet.
+    pub scans_per_stream: usize,
     /// Bytes that all scans under way and their evidence may take together.
     pub insert_bytes: usize,
     /// Heavy queries computed at once.
@@ -115,6 +123,8 @@ pub struct Writer {
     pub scans_per_commit: usize,
     /// Threads that compute evidence; 0 is one a core.
     pub evidence_threads: usize,
+    /// Changed blocks that are remembered.
+    pub changes: usize,
 }
 
 /// The end of the server.
@@ -136,6 +146,7 @@ impl Default for Config {
             log_format: LogFormat::Text,
             limits: Limits::default(),
             writer: Writer::default(),
+            zenoh: Zenoh::default(),
             shutdown: Shutdown::default(),
         }
     }
@@ -159,6 +170,8 @@ impl Default for Limits {
             robots_per_map: 10_000,
             connections: 1024,
             requests: 256,
+            streams: 1024,
+            scans_per_stream: 64,
             insert_bytes: 512 << 20,
             queries: 32,
             request_seconds: 30.0,
@@ -169,7 +182,7 @@ impl Default for Limits {
 
 impl Default for Writer {
     fn default() -> Self {
-        Self { queue: 256, scans_per_commit: 4096, evidence_threads: 0 }
+        Self { queue: 256, scans_per_commit: 4096, evidence_threads: 0, changes: 65_536 }
     }
 }
 
@@ -200,6 +213,7 @@ impl Config {
             max_robots: limits.robots_per_map,
             queue_length: self.writer.queue,
             max_scans_per_commit: self.writer.scans_per_commit,
+            max_changes: self.writer.changes,
             max_bytes_in_flight: limits.insert_bytes,
             max_concurrent_queries: limits.queries,
             evidence_threads: self.writer.evidence_threads,

@@ -12,6 +12,7 @@ const EVIDENCE_SECONDS: &str = "ubbmap_evidence_seconds";
 const QUEUE_DEPTH: &str = "ubbmap_queue_depth";
 const QUERY_SECONDS: &str = "ubbmap_query_seconds";
 const MAPS_OPEN: &str = "ubbmap_maps_open";
+const WATCHERS: &str = "ubbmap_watchers";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
@@ -24,6 +25,7 @@ pub fn describe_metrics() {
     describe_gauge!(QUEUE_DEPTH, "Insert requests that wait at the writers of all maps or are being committed");
     describe_histogram!(QUERY_SECONDS, "Seconds for computing a query's answer, by kind");
     describe_gauge!(MAPS_OPEN, "Maps held in memory");
+    describe_gauge!(WATCHERS, "Watches of maps that are open");
 }
 
 /// What became of scans.
@@ -78,6 +80,23 @@ impl Loaded {
 impl Drop for Loaded {
     fn drop(&mut self) {
         gauge!(MAPS_OPEN).decrement(1.0);
+    }
+}
+
+/// Counts one watch while it lives.
+#[derive(Debug)]
+pub(super) struct Watching(());
+
+impl Watching {
+    pub(super) fn new() -> Self {
+        gauge!(WATCHERS).increment(1.0);
+        Self(())
+    }
+}
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        gauge!(WATCHERS).decrement(1.0);
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod answers;
 mod budget;
+mod changes;
 mod error;
 mod evidence;
 mod gate;
@@ -26,13 +27,14 @@ mod metrics_tests;
 use crate::mapping::{MapConfig, Region};
 use crate::store::{MapName, MapStore};
 use queries::Root;
-use registry::{Registry, blocking};
+use registry::{Entry, Registry, WhenFull, blocking};
 use std::sync::Arc;
 
 pub use answers::{
-    BoxQuery, ClassesAnswer, Created, FreeAnswers, InsertAnswer, MapDescription, MapVersion, Raster, RegionAnswer,
-    Rejection, RobotDescription,
+    BlockChange, BoxQuery, Changes, ChangesQuery, ClassesAnswer, CommitNotice, Created, FreeAnswers, InsertAnswer,
+    MapDescription, MapVersion, Raster, RegionAnswer, Rejection, RobotDescription,
 };
+pub use changes::Watch;
 pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
 pub use metrics::describe_metrics;
@@ -107,7 +109,16 @@ impl MapService {
     /// [`ErrorKind::MapNotFound`], [`ErrorKind::TooManyScans`], [`ErrorKind::Busy`] when the map's queue is full,
     /// [`ErrorKind::ShuttingDown`], [`ErrorKind::StoreFailed`].
     pub async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
-        self.registry.insert(name, scans).await
+        self.registry.insert(name, scans, WhenFull::Refuse).await
+    }
+
+    /// As [`MapService::insert`], but waits for a place in the map's queue and for memory: for senders that are held
+    /// up by not being read.
+    ///
+    /// # Errors
+    /// As [`MapService::insert`]; [`ErrorKind::Busy`] only where the memory ran out after the wait.
+    pub async fn insert_when_free(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
+        self.registry.insert(name, scans, WhenFull::Wait).await
     }
 
     /// Classes at points; `depth` 0..=map depth, default the map's.
@@ -209,7 +220,11 @@ impl MapService {
     /// The root that a query reads: one revision, whatever is committed meanwhile.
     async fn root(&self, name: &MapName) -> Result<Root, ServiceError> {
         let entry = self.registry.find(name)?;
-        let published = self.registry.opened(&entry).await?.published.load_full();
+        self.root_of(&entry).await
+    }
+
+    async fn root_of(&self, entry: &Entry) -> Result<Root, ServiceError> {
+        let published = self.registry.opened(entry).await?.published.load_full();
         Ok(Root { id: entry.id, config: entry.config.load_full(), published })
     }
 

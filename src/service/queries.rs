@@ -24,8 +24,8 @@ pub(super) struct Root {
 /// A box query checked against the map: its depth and its leaves.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Area {
-    depth: u8,
-    leaves: LeafRange,
+    pub(super) depth: u8,
+    pub(super) leaves: LeafRange,
 }
 
 /// A raster whose cells are known but not yet read.

@@ -4,6 +4,7 @@
 //! roots, so they see what is durable and wait for nothing.
 
 use super::budget::Reservation;
+use super::changes::ChangeLog;
 use super::evidence::too_old;
 use super::gate::Inside;
 use super::metrics;
@@ -71,6 +72,7 @@ pub(super) struct Writer {
     pub(super) id: MapId,
     pub(super) store: Arc<dyn MapStore>,
     pub(super) published: Arc<ArcSwap<Published>>,
+    pub(super) changes: Arc<ChangeLog>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
 }
@@ -167,7 +169,9 @@ impl Writer {
         let stored = self.store.commit(self.id, &commit);
         metrics::commit(stored.is_ok(), applied, started.elapsed());
         stored?;
+        self.changes.record(commit.revision, commit.blocks.iter().map(|(address, _)| *address));
         self.published.store(Arc::new(published));
+        self.changes.announce(commit.revision);
         Ok(commit.revision)
     }
 }
