@@ -186,6 +186,31 @@ fn at_the_servers_end_a_stream_gets_what_it_sent_acknowledged_and_a_word() {
     assert_eq!(site.store.revision(&map_name("hall")), Some(2));
 }
 
+#[test]
+fn a_robot_whose_clock_is_far_off_is_mapped_like_any_other() {
+    let site = Site::hall();
+    let mut client = site.rpc();
+    let fates = site.run(async {
+        let stamps = [0.0, -1e18, 1e300, f64::NAN, f64::INFINITY, 4e9, 1.0];
+        let scans = stamps
+            .into_iter()
+            .zip(0..)
+            .map(|(stamp, sequence)| message("hall", v1::Scan { stamp, ..scan("a", sequence) }));
+        let answers = client.stream_scans(tokio_stream::iter(scans.collect::<Vec<_>>())).await.unwrap().into_inner();
+        answers.map(Result::unwrap).collect::<Vec<_>>().await
+    });
+    assert!(fates.len() == 7 && fates.iter().all(|fate| fate.rejected.is_none() && !fate.duplicate), "{fates:?}");
+    let other = Site::hall();
+    let mut client = other.rpc();
+    other.run(async {
+        let scans: Vec<_> = (0..7).map(|sequence| message("hall", scan("a", sequence))).collect();
+        let answers = client.stream_scans(tokio_stream::iter(scans)).await.unwrap().into_inner();
+        assert_eq!(answers.map(Result::unwrap).collect::<Vec<_>>().await.len(), 7);
+    });
+    let leaves = |site: &Site| site.get("/v1/maps/hall/region").json()["leaves"].clone();
+    assert_eq!(leaves(&site), leaves(&other));
+}
+
 fn watch(map: &str, since: Option<u64>) -> v1::WatchMapRequest {
     v1::WatchMapRequest { map: map.to_owned(), since, ..v1::WatchMapRequest::default() }
 }

@@ -24,9 +24,10 @@ use ::zenoh::pubsub::Subscriber;
 use ::zenoh::query::{Query, Queryable};
 use metrics::{counter, describe_counter};
 use queries::Asked;
-use reply::Reply;
+use reply::{Replies, Reply};
 use rivals::Rivals;
 use std::sync::Arc;
+use std::thread::JoinHandle;
 use thiserror::Error;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_util::task::TaskTracker;
@@ -73,6 +74,7 @@ struct Context {
     door: Door,
     settings: ZenohSettings,
     rivals: Rivals,
+    replies: Replies,
 }
 
 /// The running transport.
@@ -86,6 +88,7 @@ pub struct ZenohServer {
     queryables: [Queryable<()>; 2],
     subscribers: [Subscriber<()>; 2],
     tracker: TaskTracker,
+    sending: JoinHandle<()>,
 }
 
 /// Where a callback of Zenoh puts a query.
@@ -131,7 +134,8 @@ impl ZenohServer {
             .callback(move |sample| noting.note(&sample))
             .await
             .map_err(failed)?;
-        let context = Arc::new(Context { service, door, settings, rivals });
+        let (replies, sending) = Replies::start().map_err(|error| ZenohError::Session(error.to_string()))?;
+        let context = Arc::new(Context { service, door, settings, rivals, replies });
         let tracker = TaskTracker::new();
         let (inbox, samples) = queues(&context, &tracker);
         let taking = inbox.clone();
@@ -159,7 +163,7 @@ impl ZenohServer {
         let reachable = probe::start(&context.settings, endpoints, health, context.door.clone()).await?;
         tokio::spawn(publish::run(session.clone(), context.service.clone(), context.door.clone(), prefix));
         let (queryables, subscribers) = ([queries, asked], [others, scans]);
-        Ok(Self { session, id, locators, reachable, token, queryables, subscribers, tracker })
+        Ok(Self { session, id, locators, reachable, token, queryables, subscribers, tracker, sending })
     }
 
     /// Where it listens.
@@ -192,6 +196,11 @@ impl ZenohServer {
             }
             self.tracker.close();
             self.tracker.wait().await;
+            // With the last query the replies' thread has got its last one, and ends behind it.
+            let sending = self.sending;
+            if tokio::task::spawn_blocking(move || sending.join()).await.is_err() {
+                tracing::error!("the thread of the replies could not be waited for");
+            }
             self.session.close().await
         };
         if let Err(error) = left.await {
@@ -209,7 +218,7 @@ fn queues(context: &Arc<Context>, tracker: &TaskTracker) -> (Inbox, mpsc::Sender
         sender
     };
     let (refusals, refused) = mpsc::channel(REFUSALS);
-    tracker.spawn(refuse(refused));
+    tracker.spawn(refuse(refused, Arc::clone(context)));
     let inbox = Inbox { queries: worked(), insertions: worked(), refusals };
     let (samples, receiver) = mpsc::channel(queue);
     tracker.spawn(scans::run(receiver, Arc::clone(context), places(in_flight), tracker.clone()));
@@ -228,7 +237,7 @@ async fn work(mut queue: mpsc::Receiver<Query>, context: Arc<Context>, places: A
         let context = Arc::clone(&context);
         tracker.spawn(async move {
             if let Some(answer) = respond(&context, &query).await {
-                finish(query, answer).await;
+                finish(&context, query, answer).await;
             }
             drop(place);
         });
@@ -236,22 +245,22 @@ async fn work(mut queue: mpsc::Receiver<Query>, context: Arc<Context>, places: A
 }
 
 /// Tells those for whom there was no room.
-async fn refuse(mut queue: mpsc::Receiver<Query>) {
+async fn refuse(mut queue: mpsc::Receiver<Query>, context: Arc<Context>) {
     while let Some(query) = queue.recv().await {
         let busy = ServiceError::new(ErrorKind::Busy, "as many queries wait as the server's queue holds: try again");
-        finish(query, Err(busy)).await;
+        finish(&context, query, Err(busy)).await;
     }
 }
 
-async fn finish(query: Query, answer: Result<Reply, ServiceError>) {
+async fn finish(context: &Context, query: Query, answer: Result<Reply, ServiceError>) {
     let code = answer.as_ref().map_or_else(|error| error.kind.code(), |_| "OK");
     counter!(QUERIES, "code" => code).increment(1);
-    reply::send(query, answer).await;
+    context.replies.send(query, answer).await;
 }
 
 /// The answer to a query; `None` where it is not meant for this server.
 async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, ServiceError>> {
-    let Context { service, door, settings, rivals } = context;
+    let Context { service, door, settings, rivals, .. } = context;
     let key = query.key_expr().as_str();
     if key.ends_with("/health") && key.contains("/@server/") {
         return Some(health(context));

@@ -37,6 +37,9 @@ pub struct ZenohSettings {
     pub in_flight: usize,
 }
 
+/// How long a client that does not read holds up what is sent to it before its connection is closed, microseconds.
+const UNREAD: u64 = 1_000_000;
+
 /// Bytes of a message beside its payload, more than ever needed.
 const HEAD_BYTES: usize = 64 << 10;
 
@@ -79,6 +82,7 @@ fn base(settings: &ZenohSettings) -> Result<Config, ZenohError> {
     // inside, and puts together messages of up to a gigabyte.
     let limit = settings.message_bytes.saturating_add(HEAD_BYTES);
     set(&mut config, "transport/link/rx/max_message_size", &json!(limit))?;
+    set(&mut config, "transport/link/tx/queue/congestion_control/block/wait_before_close", &json!(UNREAD))?;
     if settings.file.is_none() {
         set(&mut config, "scouting/multicast/enabled", &json!(false))?;
         set(&mut config, "scouting/gossip/enabled", &json!(false))?;
