@@ -7,7 +7,12 @@
 //! many guaranteed-free queries, a second. A scan's latency is from its sending to its acknowledgement, a query's from when it
 //! was due to its answer.
 
-#![allow(clippy::print_stdout, clippy::unwrap_used, reason = "a benchmark prints its figures and may end loudly")]
+#![allow(
+    clippy::panic,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a benchmark prints its figures and may end loudly"
+)]
 
 mod figures;
 mod planners;
