@@ -1,4 +1,4 @@
-//! Generates the wire types and their proto3 JSON from `proto/`, without `protoc`. Does nothing for the core alone.
+//! Generates the wire types, their proto3 JSON and the service of gRPC from `proto/`, without `protoc`. Does nothing for the core alone.
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     #[cfg(feature = "server")]
@@ -8,6 +8,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 #[cfg(feature = "server")]
 mod wire {
+    use prost::Message;
     use std::path::PathBuf;
     use std::{env, fs};
 
@@ -26,7 +27,18 @@ mod wire {
         files.sort();
         let descriptors = protox::compile(&files, ["proto"])?;
 
+        let folder = PathBuf::from(env::var("OUT_DIR")?);
+        fs::write(folder.join("ubbmap.v1.bin"), descriptors.encode_to_vec())?;
         prost_build::Config::new().btree_map(["."]).compile_fds(descriptors.clone())?;
+
+        // The service alone, in a file of its own: messages know no transport.
+        let service = folder.join("grpc");
+        fs::create_dir_all(&service)?;
+        tonic_prost_build::configure()
+            .extern_path(PACKAGE, "crate::wire::v1")
+            .codec_path("crate::transport::grpc::codec::Codec")
+            .out_dir(service)
+            .compile_fds(descriptors.clone())?;
 
         let mut json = pbjson_build::Builder::new();
         for file in descriptors.file {
@@ -34,7 +46,7 @@ mod wire {
         }
         json.preserve_proto_field_names().emit_fields().btree_map(["."]).build(&[PACKAGE])?;
 
-        let generated = PathBuf::from(env::var("OUT_DIR")?).join("ubbmap.v1.serde.rs");
+        let generated = folder.join("ubbmap.v1.serde.rs");
         let code = fs::read_to_string(&generated)?;
         if !code.contains(THEIR_NUMBER) {
             return Err(format!("{THEIR_NUMBER} is not in the generated JSON code").into());

@@ -4,7 +4,10 @@ use crate::config::{Config, ConfigError, StoreKind, seconds};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
-use crate::transport::http::{self, Draining, HttpSettings, ServeLimits};
+use crate::transport::door::{Door, DoorSettings};
+use crate::transport::grpc::{self, GrpcSettings};
+use crate::transport::http::{self, HttpSettings, OutsideView, ServeLimits};
+use crate::transport::zenoh::{Reachable, ZenohError, ZenohServer};
 use std::net::SocketAddr;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -42,6 +45,12 @@ pub enum AppError {
     /// The signals of the end cannot be waited for.
     #[error("cannot wait for signals: {0}")]
     Signal(std::io::Error),
+    /// The transport over Zenoh does not start.
+    #[error(transparent)]
+    Zenoh(#[from] ZenohError),
+    /// The interface's description, which reflection serves, cannot be read.
+    #[error("cannot serve the description of the interface: {0}")]
+    Reflection(tonic_reflection::server::Error),
     /// The listener's task ended by a panic.
     #[error("the listener failed")]
     Listener,
@@ -73,9 +82,10 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    draining: Draining,
+    door: Door,
     stop: oneshot::Sender<()>,
     listener: JoinHandle<()>,
+    zenoh: Option<ZenohServer>,
     service: ServiceHandle,
 }
 
@@ -97,23 +107,37 @@ impl Server {
         config.check()?;
         let metrics = telemetry::metrics_handle();
         let service = MapService::open(store, config.service_settings())?;
-        let draining = Draining::default();
         let limits = &config.limits;
+        let door = Door::new(DoorSettings {
+            requests: limits.requests,
+            streams: limits.streams,
+            request_timeout: seconds(limits.request_seconds),
+        });
         let settings = HttpSettings {
             body_bytes: limits.body_bytes,
             config_bytes: limits.config_bytes,
-            requests: limits.requests,
-            request_timeout: seconds(limits.request_seconds),
+            scans_per_stream: limits.scans_per_stream,
         };
-        let counted = service.clone();
-        let render = Arc::new(move || {
-            counted.note_metrics();
-            metrics.render()
-        });
-        let router = http::router(service.clone(), settings, draining.clone(), render);
         let failed = |source| AppError::Listen { address: config.listen, source };
         let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
+        let zenoh = match config.zenoh_settings() {
+            Some(settings) => Some(ZenohServer::start(service.clone(), door.clone(), settings).await?),
+            None => None,
+        };
+        let reached = zenoh.as_ref().map(ZenohServer::reachable).cloned();
+        let counted = service.clone();
+        let outside = OutsideView {
+            metrics: Box::new(move || {
+                counted.note_metrics();
+                metrics.render()
+            }),
+            reachable: Box::new(move || reached.as_ref().is_none_or(Reachable::now)),
+        };
+        let rest = http::router(service.clone(), settings, door.clone(), outside);
+        let settings = GrpcSettings { message_bytes: limits.body_bytes, scans_per_stream: limits.scans_per_stream };
+        let rpc = grpc::router(service.clone(), settings, door.clone()).map_err(AppError::Reflection)?;
+        let router = rest.merge(rpc);
         let serve_limits = ServeLimits {
             connections: limits.connections,
             header_timeout: seconds(limits.header_seconds),
@@ -127,7 +151,7 @@ impl Server {
             })
             .await;
         });
-        Ok(Self { address, draining, stop, listener, service: ServiceHandle(service) })
+        Ok(Self { address, door, stop, listener, zenoh, service: ServiceHandle(service) })
     }
 
     /// Where it listens.
@@ -142,6 +166,12 @@ impl Server {
         format!("http://{}", self.address)
     }
 
+    /// Its part in a network of Zenoh, where it has one.
+    #[must_use]
+    pub fn zenoh(&self) -> Option<&ZenohServer> {
+        self.zenoh.as_ref()
+    }
+
     /// The service behind it.
     #[must_use]
     pub fn service(&self) -> &MapService {
@@ -153,10 +183,13 @@ impl Server {
     /// # Errors
     /// [`AppError::Listener`] when the listener's task failed; the service is drained all the same.
     pub async fn shutdown(self) -> Result<(), AppError> {
-        self.draining.begin();
+        self.door.begin_draining();
         // The listener's task has ended already when this fails.
         let _ = self.stop.send(());
         let ended = self.listener.await;
+        if let Some(zenoh) = self.zenoh {
+            zenoh.shutdown().await;
+        }
         self.service.0.drain().await;
         ended.map_err(|_| AppError::Listener)
     }

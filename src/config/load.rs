@@ -92,6 +92,7 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
+        self.zenoh.check(self.insecure)?;
         if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
             return Err(ConfigError::NotLoopback(self.listen));
         }
@@ -116,7 +117,12 @@ impl Config {
             ("limits.robots_per_map", limits.robots_per_map),
             ("limits.connections", limits.connections),
             ("limits.requests", limits.requests),
+            ("limits.streams", limits.streams),
+            ("limits.scans_per_stream", limits.scans_per_stream),
             ("limits.queries", limits.queries),
+            ("zenoh.queue", self.zenoh.queue),
+            ("zenoh.in_flight", self.zenoh.in_flight),
+            ("writer.changes", self.writer.changes),
             ("writer.queue", self.writer.queue),
             ("writer.scans_per_commit", self.writer.scans_per_commit),
         ];
@@ -196,9 +202,11 @@ fn check_key(known: &BTreeSet<String>, key: &str, origin: impl Fn() -> String) -
         // The right name in the wrong table is near as well.
         strsim::jaro_winkler(key, name).max(strsim::jaro_winkler(&last(key), &last(name)))
     };
+    // Of two such names the one in the right table is nearer.
+    let whole = |name: &String| strsim::jaro_winkler(key, name);
     let nearest = known
         .iter()
-        .max_by(|a, b| similarity(a).total_cmp(&similarity(b)))
+        .max_by(|a, b| similarity(a).total_cmp(&similarity(b)).then(whole(a).total_cmp(&whole(b))))
         .filter(|name| similarity(name) >= LEAST_SIMILARITY)
         .cloned();
     Err(ConfigError::UnknownKey { key: key.to_owned(), origin: origin(), nearest })

@@ -59,6 +59,10 @@ fn every_setting_of_the_file_is_read() {
             "\"sled\"" => "\"memory\"",
             "\"info\"" => "\"debug\"",
             "\"text\"" => "\"json\"",
+            "\"off\"" => "\"router\"",
+            "\"tcp/127.0.0.1:7447\"" => "\"tcp/127.0.0.1:7448\"",
+            "\"ubbmap\"" => "\"site/ubbmap\"",
+            "\"\"" => "\"tcp/127.0.0.1:7449\"",
             "false" => "true",
             "536870912" => "536870913",
             "1073741824" | "67108864" => "1048576",
@@ -122,6 +126,11 @@ fn bad_values_name_their_setting() {
         ("[limits]\npose_width = nan", "limits.pose_width"),
         ("[limits]\nrequest_seconds = inf", "limits.request_seconds"),
         ("[shutdown]\ngrace_seconds = -1.0", "shutdown.grace_seconds"),
+        ("[zenoh]\nmode = \"mesh\"", "zenoh.mode"),
+        ("[zenoh]\nprefix = \"a/*\"", "zenoh.prefix"),
+        ("[zenoh]\nprefix = \"\"", "zenoh.prefix"),
+        ("[zenoh]\nmode = \"client\"", "zenoh.connect"),
+        ("[zenoh]\nmode = \"router\"\nlisten = \" , \"", "zenoh.listen"),
     ] {
         let text = message(text, &[]);
         assert!(text.contains(&format!("`{key}`")), "{text}");
@@ -147,6 +156,26 @@ fn an_address_beyond_loopback_needs_a_word() {
     for address in ["[::1]:80", "127.1.2.3:80", "[::ffff:127.0.0.1]:80"] {
         assert!(load(&format!("listen = \"{address}\""), &[], &[]).is_ok(), "{address}");
     }
+}
+
+#[test]
+fn zenoh_beyond_loopback_needs_a_word_or_a_file_of_its_own() {
+    for endpoint in
+        ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tls/router.example:7447", "tcp/10.0.0.1:7447#iface=eth0", "x"]
+    {
+        for setting in ["listen", "connect"] {
+            let text = format!("[zenoh]\nmode = \"peer\"\n{setting} = \"tcp/127.0.0.1:1, {endpoint}\"");
+            let refused = load(&text, &[], &[]).unwrap_err().to_string();
+            assert!(refused.contains(&format!("`zenoh.{setting}`")) && refused.contains("--insecure"), "{refused}");
+            assert!(load(&text, &[], &[("insecure", "true")]).is_ok());
+            assert!(load(&text, &[("UBBMAP_ZENOH__FILE", "zenoh.json5")], &[]).is_ok());
+        }
+    }
+    for endpoint in ["tcp/127.0.0.1:0", "tcp/[::1]:7447", "tls/localhost:7447?x=1"] {
+        let config = load(&format!("[zenoh]\nmode = \"router\"\nlisten = \"{endpoint}\""), &[], &[]).unwrap();
+        assert_eq!(config.zenoh_settings().unwrap().listen, [endpoint]);
+    }
+    assert!(Config::default().zenoh_settings().is_none());
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod zenoh;
 
 use crate::mapping::RegionLimits;
 use crate::sensor::{PoseLimits, ScanLimits};
@@ -17,6 +18,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use error::ConfigError;
+pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,6 +62,8 @@ pub struct Config {
     pub cache: Cache,
     /// One map's writer.
     pub writer: Writer,
+    /// The transport over Zenoh.
+    pub zenoh: Zenoh,
     /// The end of the server.
     pub shutdown: Shutdown,
 }
@@ -98,6 +102,10 @@ pub struct Limits {
     pub connections: usize,
     /// Most requests worked on at once.
     pub requests: usize,
+    /// Most streams of scans and watches open at once.
+    pub streams: usize,
+    /// Most scans of one stream that are not acknowledged yet.
+    pub scans_per_stream: usize,
     /// Bytes that all scans under way and their evidence may take together.
     pub insert_bytes: usize,
     /// Heavy queries computed at once.
@@ -128,6 +136,8 @@ pub struct Writer {
     pub scans_per_commit: usize,
     /// Threads that compute evidence; 0 is one a core.
     pub evidence_threads: usize,
+    /// Changed blocks that are remembered.
+    pub changes: usize,
 }
 
 /// The end of the server.
@@ -150,6 +160,7 @@ impl Default for Config {
             limits: Limits::default(),
             cache: Cache::default(),
             writer: Writer::default(),
+            zenoh: Zenoh::default(),
             shutdown: Shutdown::default(),
         }
     }
@@ -173,6 +184,8 @@ impl Default for Limits {
             robots_per_map: 10_000,
             connections: 1024,
             requests: 256,
+            streams: 1024,
+            scans_per_stream: 64,
             insert_bytes: 512 << 20,
             queries: 32,
             request_seconds: 30.0,
@@ -189,7 +202,7 @@ impl Default for Cache {
 
 impl Default for Writer {
     fn default() -> Self {
-        Self { queue: 256, scans_per_commit: 4096, evidence_threads: 0 }
+        Self { queue: 256, scans_per_commit: 4096, evidence_threads: 0, changes: 65_536 }
     }
 }
 
@@ -220,6 +233,7 @@ impl Config {
             max_robots: limits.robots_per_map,
             queue_length: self.writer.queue,
             max_scans_per_commit: self.writer.scans_per_commit,
+            max_changes: self.writer.changes,
             max_bytes_in_flight: limits.insert_bytes,
             cache_bytes: self.cache.block_bytes,
             max_concurrent_queries: limits.queries,

@@ -1,8 +1,8 @@
 //! What the service answers. Plain data, no wire types.
 
 use crate::mapping::{FreeAnswer, MapConfig};
-use crate::quadtree::{Class, Leaf};
-use crate::store::MapName;
+use crate::quadtree::{Class, Leaf, NodeAddress};
+use crate::store::{MapId, MapName};
 
 /// A map as it stands.
 #[derive(Debug, Clone, PartialEq)]
@@ -148,4 +148,50 @@ pub struct FreeAnswers {
     pub depth: u8,
     /// The answers in the order asked.
     pub results: Vec<FreeAnswer>,
+}
+
+/// Which changes are asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ChangesQuery {
+    /// Only blocks that have interior in common with this box; its depth is that of the cells of the contents.
+    pub area: BoxQuery,
+    /// With the contents of each block.
+    pub contents: bool,
+}
+
+/// What changed after one revision up to another.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Changes {
+    /// Everything up to this revision is in it.
+    pub revision: u64,
+    /// Changes after this revision are in it.
+    pub since: u64,
+    /// True when there is no telling what changed, or it is too much: take the whole map anew.
+    pub everything: bool,
+    /// Depth of the cells of the contents.
+    pub depth: u8,
+    /// In Z-order.
+    pub blocks: Vec<BlockChange>,
+}
+
+/// A node that changed: a block of 64 x 64 leaves, or a coarser one where the depth asked for is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BlockChange {
+    /// Its address.
+    pub node: NodeAddress,
+    /// The last revision that changed it.
+    pub revision: u64,
+    /// Its cells as they are at the answer's revision, row-major, row 0 at min_y; empty where they were not asked for.
+    pub classes: Vec<Class>,
+}
+
+/// Tells that a map has a new revision.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CommitNotice {
+    /// The map's name.
+    pub name: MapName,
+    /// Its number in the store: another map of the same name has another.
+    pub id: MapId,
+    /// The revision.
+    pub revision: u64,
 }

@@ -17,6 +17,7 @@ const CACHE_BYTES: &str = "ubbmap_cache_bytes";
 const CACHE_HITS: &str = "ubbmap_cache_hits_total";
 const CACHE_LOADS: &str = "ubbmap_cache_loads_total";
 const CACHE_EVICTIONS: &str = "ubbmap_cache_evictions_total";
+const WATCHERS: &str = "ubbmap_watchers";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
@@ -29,6 +30,7 @@ pub fn describe_metrics() {
     describe_gauge!(QUEUE_DEPTH, "Insert requests that wait at the writers of all maps or are being committed");
     describe_histogram!(QUERY_SECONDS, "Seconds for computing a query's answer, by kind");
     describe_gauge!(MAPS_OPEN, "Maps that are open: all of each but its blocks is in memory");
+    describe_gauge!(WATCHERS, "Watches of maps that are open");
     describe_gauge!(CACHE_BYTES, "Bytes of the blocks in memory, all maps together");
     describe_counter!(CACHE_HITS, "Blocks looked into that were in memory");
     describe_counter!(CACHE_LOADS, "Blocks read from the store");
@@ -95,6 +97,23 @@ impl Loaded {
 impl Drop for Loaded {
     fn drop(&mut self) {
         gauge!(MAPS_OPEN).decrement(1.0);
+    }
+}
+
+/// Counts one watch while it lives.
+#[derive(Debug)]
+pub(super) struct Watching(());
+
+impl Watching {
+    pub(super) fn new() -> Self {
+        gauge!(WATCHERS).increment(1.0);
+        Self(())
+    }
+}
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        gauge!(WATCHERS).decrement(1.0);
     }
 }
 

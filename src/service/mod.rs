@@ -4,6 +4,7 @@
 
 mod answers;
 mod budget;
+mod changes;
 mod error;
 mod evidence;
 mod gate;
@@ -27,13 +28,14 @@ use crate::mapping::{MapConfig, Region};
 use crate::quadtree::CacheStatistics;
 use crate::store::{MapName, MapStore};
 use queries::{QueryError, Root};
-use registry::{Registry, blocking, store_failure};
+use registry::{Entry, Registry, WhenFull, blocking, store_failure};
 use std::sync::Arc;
 
 pub use answers::{
-    BoxQuery, ClassesAnswer, Created, FreeAnswers, InsertAnswer, MapDescription, MapVersion, Raster, RegionAnswer,
-    Rejection, RobotDescription,
+    BlockChange, BoxQuery, Changes, ChangesQuery, ClassesAnswer, CommitNotice, Created, FreeAnswers, InsertAnswer,
+    MapDescription, MapVersion, Raster, RegionAnswer, Rejection, RobotDescription,
 };
+pub use changes::Watch;
 pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
 pub use metrics::describe_metrics;
@@ -108,7 +110,16 @@ impl MapService {
     /// [`ErrorKind::MapNotFound`], [`ErrorKind::TooManyScans`], [`ErrorKind::Busy`] when the map's queue is full,
     /// [`ErrorKind::ShuttingDown`], [`ErrorKind::StoreFailed`].
     pub async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
-        self.registry.insert(name, scans).await
+        self.registry.insert(name, scans, WhenFull::Refuse).await
+    }
+
+    /// As [`MapService::insert`], but waits for a place in the map's queue and for memory: for senders that are held
+    /// up by not being read.
+    ///
+    /// # Errors
+    /// As [`MapService::insert`]; [`ErrorKind::Busy`] only where the memory ran out after the wait.
+    pub async fn insert_when_free(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
+        self.registry.insert(name, scans, WhenFull::Wait).await
     }
 
     /// Classes at points; `depth` 0..=map depth, default the map's.
@@ -219,7 +230,11 @@ impl MapService {
     /// The root that a query reads: one revision, whatever is committed meanwhile.
     async fn root(&self, name: &MapName) -> Result<Root, ServiceError> {
         let entry = self.registry.find(name)?;
-        let published = self.registry.opened(&entry).await?.published.load_full();
+        self.root_of(&entry).await
+    }
+
+    async fn root_of(&self, entry: &Entry) -> Result<Root, ServiceError> {
+        let published = self.registry.opened(entry).await?.published.load_full();
         let tree = published.tree.clone();
         Ok(Root { id: entry.id, config: entry.config.load_full(), published, tree })
     }

@@ -49,8 +49,8 @@ impl From<PageError> for QueryError {
 /// A box query checked against the map: its depth and its leaves.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Area {
-    depth: u8,
-    leaves: LeafRange,
+    pub(super) depth: u8,
+    pub(super) leaves: LeafRange,
 }
 
 /// A raster whose cells are known but not yet read.

@@ -1,11 +1,13 @@
 //! Named maps: created and deleted durably, loaded when first used, each with its writer.
 
+use super::changes::{ChangeLog, NOTICES};
 use super::evidence::{EvidencePool, Task, input_bytes};
 use super::gate::Gate;
 use super::metrics;
 use super::writer::{Job, Published, Writer, map_not_found};
 use super::{
-    Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError, ServiceSettings,
+    CommitNotice, Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError,
+    ServiceSettings,
 };
 use crate::mapping::MapConfig;
 use crate::quadtree::BlockCache;
@@ -13,9 +15,21 @@ use crate::store::{DamagedMap, MapId, MapName, MapStore, StoreError, StoredMap};
 use arc_swap::ArcSwap;
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::{SystemTime, UNIX_EPOCH};
-use tokio::sync::{Mutex, OnceCell, Semaphore, mpsc, oneshot};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::{Mutex, OnceCell, Semaphore, broadcast, mpsc, oneshot};
 use tokio_util::sync::CancellationToken;
+
+/// How long an insertion that waits for memory waits before it looks again.
+const MEMORY_PAUSE: Duration = Duration::from_millis(5);
+
+/// What becomes of an insertion when the map's queue or the memory for scans is full.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum WhenFull {
+    /// It is refused: its sender can come back later.
+    Refuse,
+    /// It waits: its sender is held up by not being read.
+    Wait,
+}
 
 /// All that the clones of one service share.
 pub(super) struct Registry {
@@ -30,6 +44,8 @@ pub(super) struct Registry {
     pool: EvidencePool,
     pub(super) gate: Arc<Gate>,
     pub(super) heavy: Arc<Semaphore>,
+    /// Tells of every commit.
+    pub(super) notices: broadcast::Sender<CommitNotice>,
 }
 
 /// What the names stand for.
@@ -49,8 +65,9 @@ pub(super) struct Entry {
     /// The revision in the store while the map is not loaded: only a loaded map is written to.
     stored_revision: u64,
     opened: OnceCell<Opened>,
+    pub(super) changes: Arc<ChangeLog>,
     /// Cancelled when the map is being deleted.
-    stop: CancellationToken,
+    pub(super) stop: CancellationToken,
 }
 
 /// A loaded map.
@@ -65,8 +82,10 @@ pub(super) struct Opened {
 impl Registry {
     pub(super) fn open(store: Arc<dyn MapStore>, settings: ServiceSettings) -> Result<Self, ServiceError> {
         let stored = store.list().map_err(|e| store_error("list the maps of the store", &e))?;
+        let notices = broadcast::Sender::new(NOTICES);
         let mut table = Table::default();
-        table.maps.extend(stored.into_iter().map(|map| (map.name.clone(), Arc::new(Entry::new(map)))));
+        let entry = |map: StoredMap| (map.name.clone(), Arc::new(Entry::new(map, &settings, &notices)));
+        table.maps.extend(stored.into_iter().map(entry));
         for damaged in store.damaged() {
             tracing::error!(id = damaged.id.map(|id| id.0), what = damaged.what, "the store has a damaged map");
             if let Some(name) = damaged.name.clone().filter(|name| !table.maps.contains_key(name)) {
@@ -81,6 +100,7 @@ impl Registry {
             cache: Arc::new(BlockCache::new(settings.cache_bytes)),
             gate: Arc::new(Gate::new()),
             heavy: Arc::new(Semaphore::new(settings.max_concurrent_queries.clamp(1, Semaphore::MAX_PERMITS))),
+            notices,
             settings: Arc::new(settings),
         })
     }
@@ -129,6 +149,7 @@ impl Registry {
             store: Arc::clone(&self.store),
             published: Arc::clone(&published),
             pager: loaded.pager,
+            changes: Arc::clone(&entry.changes),
             max_scans_per_commit: self.settings.max_scans_per_commit,
             max_robots: self.settings.max_robots,
         };
@@ -166,7 +187,8 @@ impl Registry {
         let (store, named, stored) = (Arc::clone(&self.store), name.clone(), config.clone());
         let result = blocking(move || store.create(&named, &stored, created)).await?;
         let id = result.map_err(|e| store_failure(name, "create", &e))?;
-        let entry = Arc::new(Entry::new(StoredMap { id, name: name.clone(), config, revision: 0, created }));
+        let stored = StoredMap { id, name: name.clone(), config, revision: 0, created };
+        let entry = Arc::new(self.entry(stored));
         self.put(Arc::clone(&entry));
         tracing::info!(map = %name, id = id.0, "created");
         Ok(Created { created: true, map: entry.describe(Vec::new()) })
@@ -218,7 +240,7 @@ impl Registry {
             && error.kind != ErrorKind::MapNotFound
         {
             // The map is still there: with an entry of its own it is loaded again and takes writes again.
-            self.put(Arc::new(Entry::new(entry.stored())));
+            self.put(Arc::new(self.entry(entry.stored())));
             return Err(error);
         }
         self.change(|table| table.maps.remove(&entry.name));
@@ -236,6 +258,10 @@ impl Registry {
         self.change(|table| table.damaged.remove(name));
         tracing::info!(map = %name, id = id.0, "deleted a damaged map");
         Ok(())
+    }
+
+    fn entry(&self, map: StoredMap) -> Entry {
+        Entry::new(map, &self.settings, &self.notices)
     }
 
     fn put(&self, entry: Arc<Entry>) {
@@ -256,7 +282,12 @@ impl Registry {
     }
 
     /// Computes scans and waits until their commit is durable.
-    pub(super) async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
+    pub(super) async fn insert(
+        &self,
+        name: &MapName,
+        scans: Vec<ScanInput>,
+        when_full: WhenFull,
+    ) -> Result<InsertAnswer, ServiceError> {
         let inside = self.gate.enter()?;
         let limit = self.settings.max_scans_per_request;
         if scans.len() > limit {
@@ -265,15 +296,24 @@ impl Registry {
         }
         let entry = self.find(name)?;
         let opened = self.opened(&entry).await?;
-        let place = opened.queue.clone().try_reserve_owned().map_err(|refused| match refused {
-            mpsc::error::TrySendError::Full(_) => {
-                let detail = format!("map {:?} has as many insertions waiting as its queue holds", name.as_str());
-                ServiceError::new(ErrorKind::Busy, detail)
-            }
-            mpsc::error::TrySendError::Closed(_) => map_not_found(name),
-        })?;
+        let place = match when_full {
+            WhenFull::Wait => opened.queue.clone().reserve_owned().await.map_err(|_| map_not_found(name))?,
+            WhenFull::Refuse => opened.queue.clone().try_reserve_owned().map_err(|refused| match refused {
+                mpsc::error::TrySendError::Full(_) => {
+                    let detail = format!("map {:?} has as many insertions waiting as its queue holds", name.as_str());
+                    ServiceError::new(ErrorKind::Busy, detail)
+                }
+                mpsc::error::TrySendError::Closed(_) => map_not_found(name),
+            })?,
+        };
         let reservation = self.pool.budget.reservation();
-        reservation.grow(input_bytes(&scans))?;
+        let bytes = input_bytes(&scans);
+        while let Err(error) = reservation.grow(bytes) {
+            if error.kind != ErrorKind::Busy || when_full == WhenFull::Refuse {
+                return Err(error);
+            }
+            tokio::time::sleep(MEMORY_PAUSE).await;
+        }
         let (reply, answer) = oneshot::channel();
         self.pool.submit(Task {
             map: name.clone(),
@@ -293,8 +333,10 @@ impl Registry {
 }
 
 impl Entry {
-    fn new(map: StoredMap) -> Self {
+    fn new(map: StoredMap, settings: &ServiceSettings, notices: &broadcast::Sender<CommitNotice>) -> Self {
+        let changes = ChangeLog::new(map.name.clone(), map.id, map.revision, settings.max_changes, notices.clone());
         Self {
+            changes: Arc::new(changes),
             name: map.name,
             id: map.id,
             created: map.created,
@@ -303,6 +345,10 @@ impl Entry {
             opened: OnceCell::new(),
             stop: CancellationToken::new(),
         }
+    }
+
+    pub(super) fn name(&self) -> &MapName {
+        &self.name
     }
 
     /// The map's revision as readers see it.

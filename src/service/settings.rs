@@ -30,6 +30,8 @@ pub struct ServiceSettings {
     pub queue_length: usize,
     /// Most scans in one commit; a request is never divided, so one that is larger is a commit of its own.
     pub max_scans_per_commit: usize,
+    /// Changed blocks of one map that are remembered for those who ask what changed.
+    pub max_changes: usize,
     /// Most bytes that scans and their evidence may take, all insertions under way together.
     pub max_bytes_in_flight: usize,
     /// Most bytes of blocks in memory, all maps together; what stands above them, about 100 bytes a block, comes on top.
@@ -55,6 +57,7 @@ impl Default for ServiceSettings {
             max_robots: 10_000,
             queue_length: 256,
             max_scans_per_commit: 4096,
+            max_changes: 65_536,
             max_bytes_in_flight: 512 << 20,
             cache_bytes: 1 << 30,
             max_concurrent_queries: 32,

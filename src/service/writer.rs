@@ -4,6 +4,7 @@
 //! roots, so they see what is durable and wait for nothing.
 
 use super::budget::Reservation;
+use super::changes::ChangeLog;
 use super::evidence::too_old;
 use super::gate::Inside;
 use super::metrics;
@@ -73,6 +74,7 @@ pub(super) struct Writer {
     pub(super) published: Arc<ArcSwap<Published>>,
     /// Where the map's blocks are read from; `None` when they stay in memory.
     pub(super) pager: Option<Arc<BlockPager>>,
+    pub(super) changes: Arc<ChangeLog>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
 }
@@ -178,7 +180,9 @@ impl Writer {
         if let Some(pager) = &self.pager {
             published.tree.settle(&changed, commit.revision, pager);
         }
+        self.changes.record(commit.revision, commit.blocks.iter().map(|(address, _)| *address));
         self.published.store(Arc::new(published));
+        self.changes.announce(commit.revision);
         Ok(commit.revision)
     }
 }

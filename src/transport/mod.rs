@@ -1,4 +1,12 @@
-//! Floor 5: the transports. They translate, and hold no logic.
+//! Floor 5: the transports. They translate, and hold no logic. What they have in common stands beside them: the
+//! operations from message to message, the streams, the door that all pass, and the table of errors.
 
+pub mod door;
+pub mod grpc;
 pub mod http;
+pub mod operations;
+pub mod parameters;
+mod scan_stream;
 pub mod status;
+mod watching;
+pub mod zenoh;

@@ -8,6 +8,10 @@ use serde::de::DeserializeOwned;
 /// Bodies up to this many bytes are decoded without counting first: what they can unfold to is small.
 const COUNT_ABOVE: usize = 64 * 1024;
 
+/// Most elements that the lists of a larger message may have together, whatever is configured: an empty element takes
+/// two bytes on the wire and some hundred in memory.
+const MOST_ELEMENTS: usize = 1 << 17;
+
 /// How a request is encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
@@ -52,15 +56,34 @@ pub fn scan_lines(bytes: &[u8], most: usize) -> Result<Vec<v1::Scan>, ServiceErr
         if scans.len() == most {
             return Err(too_many(ErrorKind::TooManyScans, "scans", format!("more than {most}"), most));
         }
-        let scan = json::from_slice(line, &format!("scans[{}]", scans.len())).map_err(|mut error: ServiceError| {
-            // Each line is a document of its own to the parser: its line number would contradict ours.
-            let detail = error.detail.replace(" at line 1 column ", " at column ");
-            error.detail = format!("line {}: {detail}", number + 1);
-            error
-        })?;
-        scans.push(scan);
+        scans.push(scan_line(line, number, scans.len())?);
     }
     Ok(scans)
+}
+
+/// One line of JSON as a scan. `number` is the line's, `index` the scan's, from 0.
+///
+/// # Errors
+/// [`ErrorKind::InvalidRequest`] naming the line.
+pub fn scan_line(line: &[u8], number: usize, index: usize) -> Result<v1::Scan, ServiceError> {
+    json::from_slice(line, &format!("scans[{index}]")).map_err(|mut error: ServiceError| {
+        // Each line is a document of its own to the parser: its line number would contradict ours.
+        let detail = error.detail.replace(" at line 1 column ", " at column ");
+        error.detail = format!("line {}: {detail}", number + 1);
+        error
+    })
+}
+
+/// A message from its bytes.
+///
+/// # Errors
+/// [`ErrorKind::InvalidRequest`] where they are no such message, or one with more elements than anything needs.
+pub fn message<T: Message + Default>(bytes: &[u8]) -> Result<T, ServiceError> {
+    if bytes.len() > COUNT_ABOVE && count_all_fields(bytes) > MOST_ELEMENTS {
+        let detail = format!("the lists of the message have more than {MOST_ELEMENTS} elements, the limit");
+        return Err(ServiceError::new(ErrorKind::InvalidRequest, detail));
+    }
+    protobuf(bytes)
 }
 
 /// The request of `CreateMap`; in JSON also the bare configuration, and nothing at all for the default one.
@@ -144,12 +167,21 @@ fn protobuf<T: Message + Default>(bytes: &[u8]) -> Result<T, ServiceError> {
 }
 
 /// How often a length-delimited field stands at the top of a message; counts up to where the message is broken.
-fn count_fields(mut bytes: &[u8], number: u32) -> usize {
+fn count_fields(bytes: &[u8], number: u32) -> usize {
+    count_where(bytes, |tag| tag == number)
+}
+
+/// How many length-delimited fields stand at the top of a message.
+fn count_all_fields(bytes: &[u8]) -> usize {
+    count_where(bytes, |_| true)
+}
+
+fn count_where(mut bytes: &[u8], counted: impl Fn(u32) -> bool) -> usize {
     use prost::encoding::{DecodeContext, WireType, decode_key, skip_field};
     let mut count = 0;
     while !bytes.is_empty() {
         let Ok((tag, wire_type)) = decode_key(&mut bytes) else { return count };
-        if tag == number && wire_type == WireType::LengthDelimited {
+        if counted(tag) && wire_type == WireType::LengthDelimited {
             count += 1;
         }
         if skip_field(wire_type, tag, &mut bytes, DecodeContext::default()).is_err() {

@@ -3,11 +3,13 @@
 //! One file an edge. Errors name the field in the request's own words (`regions[0].disc.radius`).
 
 mod answers;
+mod changes;
 mod config;
 mod decode;
 mod free;
 mod json;
 mod number;
+mod queries;
 mod scans;
 #[cfg(test)]
 mod wire_tests;
@@ -16,10 +18,14 @@ pub use answers::{
     classes_response, create_map_response, get_map_response, grid_response, list_maps_response, region_response,
     tile_response,
 };
+pub use changes::{changes_query, changes_response, watch_query, watch_response};
 pub use config::{map_config, to_wire_config};
-pub use decode::{Encoding, classes_request, create_request, free_request, insert_request, scan_lines};
+pub use decode::{
+    Encoding, classes_request, create_request, free_request, insert_request, message, scan_line, scan_lines,
+};
 pub use free::{free_response, regions};
 pub use number::JsonNumber;
+pub use queries::{grid_query, map_name, points, region_query, same_map};
 pub use scans::Batch;
 
 /// The messages of the package `ubbmap.v1` with their proto3 JSON.

@@ -19,15 +19,36 @@ impl Batch {
     pub fn new(scans: Vec<v1::Scan>) -> Self {
         let mut batch = Self::default();
         for (index, scan) in scans.into_iter().enumerate() {
-            match scan_input(scan) {
-                Ok(input) => {
-                    batch.scans.push(input);
-                    batch.indices.push(index);
-                }
-                Err((code, detail)) => batch.rejected.push(Rejection { index, code, detail }),
+            batch.push(index, scan);
+        }
+        batch
+    }
+
+    /// Converts the scans of one robot: those that name no robot are its own, those that name another are refused.
+    #[must_use]
+    pub fn of_robot(scans: Vec<v1::Scan>, robot: &str) -> Self {
+        let mut batch = Self::default();
+        for (index, mut scan) in scans.into_iter().enumerate() {
+            let named = std::mem::replace(&mut scan.robot, robot.to_owned());
+            if named.is_empty() || named == robot {
+                batch.push(index, scan);
+            } else {
+                let named: String = named.chars().take(80).collect();
+                let detail = format!("robot: the key says {robot:?}, the scan {named:?}");
+                batch.rejected.push(Rejection { index, code: "INVALID_ROBOT", detail });
             }
         }
         batch
+    }
+
+    fn push(&mut self, index: usize, scan: v1::Scan) {
+        match scan_input(scan) {
+            Ok(input) => {
+                self.scans.push(input);
+                self.indices.push(index);
+            }
+            Err((code, detail)) => self.rejected.push(Rejection { index, code, detail }),
+        }
     }
 
     /// The scans to insert; what is left is to be [finished](Batch::response) with the answer.
@@ -89,7 +110,7 @@ fn pose(wire: Option<v1::PoseBox>) -> Result<RawPose, Refusal> {
         let interval = interval.ok_or_else(|| missing(&format!("pose.{name}")))?;
         let min = interval.min.ok_or_else(|| missing(&format!("pose.{name}.min")))?;
         let max = interval.max.ok_or_else(|| missing(&format!("pose.{name}.max")))?;
-        Ok((min, max))
+        Ok::<_, Refusal>((min, max))
     };
     Ok(RawPose { x: interval("x", wire.x)?, y: interval("y", wire.y)?, theta: interval("theta", wire.theta)? })
 }

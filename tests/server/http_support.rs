@@ -66,9 +66,13 @@ impl Site {
 
     /// A server with other settings.
     pub fn with(change: impl FnOnce(&mut Config)) -> Self {
+        Self::over(TestStore::new(), change)
+    }
+
+    /// The same over a store that may hold maps.
+    pub fn over(store: Arc<TestStore>, change: impl FnOnce(&mut Config)) -> Self {
         let mut config = Config { listen: "127.0.0.1:0".parse().unwrap(), ..Config::default() };
         change(&mut config);
-        let store = TestStore::new();
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
         let server = runtime.block_on(Server::start(&config, Arc::clone(&store) as Arc<dyn MapStore>)).unwrap();
         let url = server.url();
@@ -78,9 +82,12 @@ impl Site {
 
     /// A server with the map `hall` of 25.6 m about (0, 0).
     pub fn hall() -> Self {
-        let site = Self::new();
-        site.make_hall();
-        site
+        Self::new().with_hall()
+    }
+
+    pub fn with_hall(self) -> Self {
+        self.make_hall();
+        self
     }
 
     pub fn make_hall(&self) {

@@ -43,6 +43,20 @@ pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Result<Bytes
     }
 }
 
+/// Refuses a `Content-Encoding`: what comes as a stream is read as it is.
+///
+/// # Errors
+/// [`ErrorKind::UnsupportedMediaType`]
+pub fn plain(headers: &HeaderMap) -> Result<(), HttpError> {
+    match header_text(headers, &header::CONTENT_ENCODING)?.as_deref() {
+        None | Some("" | "identity") => Ok(()),
+        Some(other) => {
+            let detail = format!("content-encoding {other:?} is not taken for a stream: send none");
+            Err(HttpError(ServiceError::new(ErrorKind::UnsupportedMediaType, detail).at("content-encoding")))
+        }
+    }
+}
+
 /// The form of a body that is a message; JSON where the header is missing.
 ///
 /// # Errors

@@ -1,8 +1,8 @@
 //! Creating, reading, listing and deleting maps.
 
 use super::body;
-use super::params::Params;
-use super::path::{MapPath, same_map};
+use super::params::no_params;
+use super::path::MapPath;
 use super::{App, HttpError, accept, respond};
 use crate::wire;
 use axum::extract::{Request, State};
@@ -18,12 +18,12 @@ pub async fn create(
     let (parts, body) = request.into_parts();
     let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
     let MapPath(map) = path?;
-    Params::none(&parts.uri)?;
+    no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     // A client that sends nothing rarely says what nothing is written in.
     let encoding = if bytes.is_empty() { wire::Encoding::Json } else { body::message_encoding(&parts.headers)? };
     let request = body::apart(bytes.len(), move || Ok(wire::create_request(&bytes, encoding)?)).await?;
-    same_map(&map, &request.map)?;
+    wire::same_map(&map, &request.map)?;
     let config = wire::map_config(request.config.unwrap_or_default())?;
     let created = app.service.create_map(&map, config).await?;
     let status = if created.created { StatusCode::CREATED } else { StatusCode::OK };
@@ -34,7 +34,7 @@ pub async fn create(
 /// `GET /v1/maps/{map}`
 pub async fn read(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    Params::none(request.uri())?;
+    no_params(request.uri())?;
     let form = accept::message(request.headers())?;
     let map = app.service.map(&map).await?;
     respond::message(form, wire::get_map_response(map), 0).await
@@ -42,7 +42,7 @@ pub async fn read(State(app): State<App>, path: MapPath, request: Request) -> Re
 
 /// `GET /v1/maps`
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, HttpError> {
-    Params::none(request.uri())?;
+    no_params(request.uri())?;
     let form = accept::message(request.headers())?;
     let maps = app.service.maps().await?;
     let size = maps.len() * 500;
@@ -52,7 +52,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
 /// `DELETE /v1/maps/{map}`
 pub async fn delete(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    Params::none(request.uri())?;
+    no_params(request.uri())?;
     app.service.delete_map(&map).await?;
     Ok(StatusCode::NO_CONTENT.into_response())
 }

@@ -2,8 +2,10 @@
 
 mod accept;
 mod body;
+mod changes;
 #[cfg(test)]
 mod http_tests;
+mod lines;
 mod maps;
 mod observe;
 mod params;
@@ -17,13 +19,11 @@ mod scans;
 mod serve;
 mod system;
 
+use super::door::Door;
 use crate::service::MapService;
 use axum::Router;
 use axum::routing::{get, post};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
 
@@ -38,47 +38,31 @@ pub struct HttpSettings {
     pub body_bytes: usize,
     /// Largest body of a map configuration, bytes.
     pub config_bytes: usize,
-    /// Most requests worked on at once.
-    pub requests: usize,
-    /// Longest time for one request.
-    pub request_timeout: Duration,
+    /// Most scans of one stream that are not acknowledged yet.
+    pub scans_per_stream: usize,
 }
 
-/// Writes the metrics in the text form of Prometheus.
-pub type RenderMetrics = Arc<dyn Fn() -> String + Send + Sync>;
-
-/// Whether the server takes new work; a latch that only closes.
-#[derive(Debug, Clone, Default)]
-pub struct Draining(Arc<AtomicBool>);
-
-impl Draining {
-    /// From now on the server is not ready.
-    pub fn begin(&self) {
-        self.0.store(true, Ordering::Release);
-    }
-
-    /// True once it began.
-    #[must_use]
-    pub fn has_begun(&self) -> bool {
-        self.0.load(Ordering::Acquire)
-    }
+/// What health and metrics tell that no handler knows by itself.
+pub struct OutsideView {
+    /// Writes the metrics in the text form of Prometheus.
+    pub metrics: Box<dyn Fn() -> String + Send + Sync>,
+    /// False while the server is not to be reached over another transport that it should be on.
+    pub reachable: Box<dyn Fn() -> bool + Send + Sync>,
 }
 
 /// What every handler has.
 struct Shared {
     service: MapService,
     settings: HttpSettings,
-    draining: Draining,
-    metrics: RenderMetrics,
-    requests: Arc<Semaphore>,
+    door: Door,
+    outside: OutsideView,
 }
 
 type App = Arc<Shared>;
 
 /// The routes over a service.
-pub fn router(service: MapService, settings: HttpSettings, draining: Draining, metrics: RenderMetrics) -> Router {
-    let requests = Arc::new(Semaphore::new(settings.requests));
-    let shared = Arc::new(Shared { service, settings, draining, metrics, requests });
+pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
+    let shared = Arc::new(Shared { service, settings, door, outside });
     Router::new()
         .route("/", get(system::index))
         .route("/healthz", get(system::healthz))
@@ -91,6 +75,8 @@ pub fn router(service: MapService, settings: HttpSettings, draining: Draining, m
         .route("/v1/maps/{map}/guaranteed-free", post(queries::guaranteed_free))
         .route("/v1/maps/{map}/region", get(queries::region))
         .route("/v1/maps/{map}/grid", get(rasters::grid))
+        .route("/v1/maps/{map}/changes", get(changes::since))
+        .route("/v1/maps/{map}/events", get(changes::events))
         .route("/v1/maps/{map}/tiles/{z}/{x}/{y}", get(rasters::tile))
         .fallback(system::route_not_found)
         .method_not_allowed_fallback(system::method_not_allowed)

@@ -8,23 +8,20 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::http::Response as HttpResponse;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use metrics::{counter, describe_counter, describe_histogram, histogram};
 use std::any::Any;
 use std::time::Instant;
-use tokio::sync::OwnedSemaphorePermit;
 
 /// What begins with this is limited; health and metrics answer also when the server is full.
 const OPERATIONS: &str = "/v1/";
 
 const SECONDS: &str = "ubbmap_http_request_seconds";
 const TOTAL: &str = "ubbmap_http_requests_total";
-const IN_FLIGHT: &str = "ubbmap_http_requests_in_flight";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
     describe_histogram!(SECONDS, "Seconds from a request's head to its answer, by method and route");
     describe_counter!(TOTAL, "Requests by method, route and status");
-    describe_gauge!(IN_FLIGHT, "Operations under way");
 }
 
 /// Limits, times and counts a request.
@@ -47,41 +44,11 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
 }
 
 async fn limited(app: &Shared, request: Request, next: Next) -> Response {
-    let _place = match place(app, &request) {
-        Ok(place) => place,
-        Err(error) => return error.into_response(),
+    let answered = async {
+        let _place = if request.uri().path().starts_with(OPERATIONS) { Some(app.door.request()?) } else { None };
+        app.door.timed(next.run(request)).await
     };
-    match tokio::time::timeout(app.settings.request_timeout, next.run(request)).await {
-        Ok(response) => response,
-        Err(_) => {
-            let seconds = app.settings.request_timeout.as_secs_f64();
-            let detail = format!("the request was not done within {seconds} s; scans it held may still be applied");
-            HttpError::new(ErrorKind::Timeout, detail).into_response()
-        }
-    }
-}
-
-/// A place among the requests under way; given back when dropped, also when the client has gone.
-struct Place {
-    _permit: OwnedSemaphorePermit,
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        gauge!(IN_FLIGHT).decrement(1.0);
-    }
-}
-
-fn place(app: &Shared, request: &Request) -> Result<Option<Place>, HttpError> {
-    if !request.uri().path().starts_with(OPERATIONS) {
-        return Ok(None);
-    }
-    let permit = std::sync::Arc::clone(&app.requests).try_acquire_owned().map_err(|_| {
-        let detail = format!("{} requests are under way, the limit: try again later", app.settings.requests);
-        HttpError::new(ErrorKind::Busy, detail)
-    })?;
-    gauge!(IN_FLIGHT).increment(1.0);
-    Ok(Some(Place { _permit: permit }))
+    answered.await.unwrap_or_else(|error| HttpError(error).into_response())
 }
 
 /// The answer to a request whose handler panicked. The panic's words are for the log.

@@ -1,11 +1,10 @@
 //! Classes at points, leaves of a box, and guaranteed-free.
 
 use super::body;
-use super::params::Params;
-use super::path::{MapPath, same_map};
+use super::params::{no_params, params};
+use super::path::MapPath;
 use super::{App, HttpError, accept, respond};
 use crate::quadtree::Leaf;
-use crate::service::{ErrorKind, ServiceError};
 use crate::wire::{self, v1};
 use axum::extract::{Request, State};
 use axum::response::Response;
@@ -19,13 +18,13 @@ pub async fn classes(
     let (parts, body) = request.into_parts();
     let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
     let MapPath(map) = path?;
-    Params::none(&parts.uri)?;
+    no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::message_encoding(&parts.headers)?;
     let most = app.service.settings().max_points;
     let request = body::apart(bytes.len(), move || Ok(wire::classes_request(&bytes, encoding, most)?)).await?;
-    same_map(&map, &request.map)?;
-    let points = points(&request.points)?;
+    wire::same_map(&map, &request.map)?;
+    let points = wire::points(&request.points)?;
     let answer = app.service.classes(&map, &points, request.depth).await?;
     let size = answer.classes.len() * 4;
     respond::message(form, wire::classes_response(answer), size).await
@@ -40,7 +39,7 @@ pub async fn guaranteed_free(
     let (parts, body) = request.into_parts();
     let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
     let MapPath(map) = path?;
-    Params::none(&parts.uri)?;
+    no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::message_encoding(&parts.headers)?;
     let settings = app.service.settings();
@@ -48,7 +47,7 @@ pub async fn guaranteed_free(
     let named = map.clone();
     let (regions, tolerance) = body::apart(bytes.len(), move || {
         let request = wire::free_request(&bytes, encoding, most)?;
-        same_map(&named, &request.map)?;
+        wire::same_map(&named, &request.map)?;
         Ok((wire::regions(request.regions, &limits)?, request.tolerance))
     })
     .await?;
@@ -60,20 +59,9 @@ pub async fn guaranteed_free(
 /// `GET /v1/maps/{map}/region`
 pub async fn region(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = Params::new(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth"])?;
+    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth"])?;
     let form = accept::message(request.headers())?;
     let answer = app.service.region(&map, &params.box_query()?).await?;
     let size = answer.leaves.len() * size_of::<Leaf>();
     respond::message(form, wire::region_response(answer), size).await
-}
-
-fn points(wire: &[v1::Point]) -> Result<Vec<(f64, f64)>, HttpError> {
-    let missing = |at: usize, axis: &str| {
-        let field = format!("points[{at}].{axis}");
-        HttpError(ServiceError::new(ErrorKind::InvalidPoint, format!("{field} is missing")).at(field))
-    };
-    let pair = |(at, point): (usize, &v1::Point)| {
-        Ok((point.x.ok_or_else(|| missing(at, "x"))?, point.y.ok_or_else(|| missing(at, "y"))?))
-    };
-    wire.iter().enumerate().map(pair).collect()
 }

@@ -1,10 +1,11 @@
 //! Dense rasters: grids of a box and tiles of a node.
 
 use super::body::apart;
-use super::params::{Params, parse};
+use super::params::{no_params, params};
 use super::path::{MapPath, TilePath};
 use super::{App, HttpError, accept, pictures, respond};
 use crate::service::{ErrorKind, Raster, ServiceError};
+use crate::transport::parameters::parse;
 use crate::wire::{self, Encoding};
 use axum::body::Bytes;
 use axum::extract::{Request, State};
@@ -36,7 +37,7 @@ const FORMS: [(&str, Form); 5] = [
 /// `GET /v1/maps/{map}/grid`
 pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = Params::new(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format"])?;
+    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format"])?;
     let form = match params.text("format") {
         None => accept::choose(request.headers(), &FORMS)?,
         Some("json") => Form::Json,
@@ -58,7 +59,7 @@ pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Re
 
 /// `GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png`, `.npy`, `.pb`, with an ETag of the tile's contents.
 pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> Result<Response, HttpError> {
-    Params::none(request.uri())?;
+    no_params(request.uri())?;
     let whole = "a whole number";
     let z = parse("z", &path.z, whole)?;
     let x = parse("x", &path.x, whole)?;

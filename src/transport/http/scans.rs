@@ -1,12 +1,20 @@
-//! `POST /v1/maps/{map}/scans`
+//! `POST /v1/maps/{map}/scans`: a request of scans, or a stream of them.
 
 use super::body::{self, ScanEncoding};
-use super::params::Params;
-use super::path::{MapPath, same_map};
-use super::{App, HttpError, accept, respond};
+use super::params::no_params;
+use super::path::MapPath;
+use super::{App, HttpError, accept, lines, respond};
+use crate::store::MapName;
+use crate::transport::scan_stream;
 use crate::wire::{self, Batch};
+use axum::body::Body;
 use axum::extract::{Request, State};
+use axum::http::request::Parts;
 use axum::response::Response;
+use tokio::sync::mpsc;
+
+/// Acknowledgements that wait for a client to read them.
+const WAITING_ACKNOWLEDGEMENTS: usize = 16;
 
 /// Applies the scans of a body; the answer means that they are durable.
 pub async fn insert(
@@ -15,9 +23,15 @@ pub async fn insert(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
+    if lines::wanted(&parts.headers)
+        && body::scan_encoding(&parts.headers).is_ok_and(|form| form == ScanEncoding::Lines)
+    {
+        let MapPath(map) = path?;
+        return stream(app, &map, &parts, body).await;
+    }
     let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
     let MapPath(map) = path?;
-    Params::none(&parts.uri)?;
+    no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::scan_encoding(&parts.headers)?;
     let most = app.service.settings().max_scans_per_request;
@@ -26,11 +40,27 @@ pub async fn insert(
         ScanEncoding::Lines => Ok(Batch::new(wire::scan_lines(&bytes, most)?)),
         ScanEncoding::Message(encoding) => {
             let request = wire::insert_request(&bytes, encoding, most)?;
-            same_map(&named, &request.map)?;
+            wire::same_map(&named, &request.map)?;
             Ok(Batch::new(request.scans))
         }
     })
     .await?;
     let answer = app.service.insert(&map, batch.take_scans()).await?;
     respond::message(form, batch.response(answer), 0).await
+}
+
+/// Applies scans as their lines come, and answers each with a line when it is durable.
+async fn stream(app: App, map: &MapName, parts: &Parts, body: Body) -> Result<Response, HttpError> {
+    no_params(&parts.uri)?;
+    body::plain(&parts.headers)?;
+    // A map that is not there is a plain problem, and no stream that begins with one.
+    app.service.version(map).await?;
+    let place = app.door.stream()?;
+    let scans = lines::scans(body, map.clone(), app.settings.body_bytes);
+    let (out, receiver) = mpsc::channel(WAITING_ACKNOWLEDGEMENTS);
+    tokio::spawn(async move {
+        scan_stream::run(&app.service, &app.door, app.settings.scans_per_stream, scans, out).await;
+        drop(place);
+    });
+    Ok(lines::response(receiver))
 }

@@ -1,8 +1,8 @@
 //! The listener: connections are accepted, limited, timed, and let go at the end.
 
 use axum::Router;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
+use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use std::future::Future;
@@ -13,6 +13,15 @@ use tokio::sync::Semaphore;
 
 /// How long to wait after a failed accept: out of file descriptors, the next one fails as well.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// How often a connection of HTTP/2 is asked whether its client is still there, and how long it may take to say so.
+const KEEP_ALIVE: Duration = Duration::from_secs(20);
+
+/// Most requests and streams of one connection of HTTP/2 at once.
+const STREAMS_PER_CONNECTION: u32 = 256;
+
+/// Largest head of a request of HTTP/2, bytes.
+const HEAD_BYTES: u32 = 16 << 10;
 
 /// Limits on connections.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,8 +37,16 @@ pub struct ServeLimits {
 /// Serves until `stop` is done; then accepts no more, ends idle connections, and waits for requests under way for the
 /// time of grace.
 pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, stop: impl Future<Output = ()>) {
-    let mut builder = http1::Builder::new();
-    builder.timer(TokioTimer::new()).header_read_timeout(limits.header_timeout);
+    let mut builder = Builder::new(TokioExecutor::new());
+    builder.http1().timer(TokioTimer::new()).header_read_timeout(limits.header_timeout);
+    builder
+        .http2()
+        .timer(TokioTimer::new())
+        .keep_alive_interval(KEEP_ALIVE)
+        .keep_alive_timeout(KEEP_ALIVE)
+        .max_concurrent_streams(STREAMS_PER_CONNECTION)
+        .max_header_list_size(HEAD_BYTES);
+    let first_byte = limits.header_timeout;
     let connections = Arc::new(Semaphore::new(limits.connections));
     let graceful = GracefulShutdown::new();
     tokio::pin!(stop);
@@ -50,10 +67,15 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
                 }
             },
         };
-        let connection = builder.serve_connection(io(stream), TowerToHyperService::new(router.clone()));
-        let connection = graceful.watch(connection);
+        let service = TowerToHyperService::new(router.clone());
+        let (builder, watcher) = (builder.clone(), graceful.watcher());
         tokio::spawn(async move {
-            if let Err(error) = connection.await {
+            // The version of HTTP is told by the first bytes, for which nothing below would wait in vain.
+            if !matches!(tokio::time::timeout(first_byte, stream.readable()).await, Ok(Ok(()))) {
+                return;
+            }
+            let connection = builder.serve_connection(io(stream), service);
+            if let Err(error) = watcher.watch(connection).await {
                 // A client that went away or sent no HTTP: its affair.
                 tracing::debug!(%error, "a connection ended early");
             }

@@ -1,6 +1,6 @@
 //! Health, metrics, the index, and paths that are not there.
 
-use super::params::Params;
+use super::params::no_params;
 use super::{App, HttpError, respond};
 use crate::service::ErrorKind;
 use axum::body::Bytes;
@@ -10,7 +10,7 @@ use axum::response::Response;
 use serde_json::json;
 
 /// What there is, as `/` tells it.
-const ROUTES: [&str; 15] = [
+const ROUTES: [&str; 17] = [
     "GET /healthz",
     "GET /readyz",
     "GET /metrics",
@@ -23,6 +23,8 @@ const ROUTES: [&str; 15] = [
     "POST /v1/maps/{map}/guaranteed-free",
     "GET /v1/maps/{map}/region?min_x=&min_y=&max_x=&max_y=&depth=",
     "GET /v1/maps/{map}/grid?min_x=&min_y=&max_x=&max_y=&depth=&format=",
+    "GET /v1/maps/{map}/changes?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
+    "GET /v1/maps/{map}/events?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.npy",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.pb",
@@ -30,7 +32,7 @@ const ROUTES: [&str; 15] = [
 
 /// `GET /`
 pub async fn index(request: Request) -> Result<Response, HttpError> {
-    Params::none(request.uri())?;
+    no_params(request.uri())?;
     let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": ROUTES });
     Ok(respond::bytes_of(super::accept::JSON, Bytes::from(index.to_string())))
 }
@@ -42,18 +44,21 @@ pub async fn healthz() -> Response {
 
 /// `GET /readyz`: it takes work.
 pub async fn readyz(State(app): State<App>) -> Result<Response, HttpError> {
-    if app.draining.has_begun() {
+    if app.door.is_draining() {
         return Err(HttpError::new(ErrorKind::ShuttingDown, "the server is draining"));
     }
     if !app.service.is_ready() {
         return Err(HttpError::new(ErrorKind::StoreFailed, "the service takes no writes"));
+    }
+    if !(app.outside.reachable)() {
+        return Err(HttpError::new(ErrorKind::Timeout, "the server does not reach itself over Zenoh"));
     }
     Ok(respond::bytes_of(super::accept::JSON, Bytes::from_static(b"{\"status\":\"ready\"}")))
 }
 
 /// `GET /metrics`
 pub async fn metrics(State(app): State<App>) -> Response {
-    respond::bytes_of("text/plain; version=0.0.4; charset=utf-8", Bytes::from((app.metrics)()))
+    respond::bytes_of("text/plain; version=0.0.4; charset=utf-8", Bytes::from((app.outside.metrics)()))
 }
 
 /// Any path without a route.

@@ -1,0 +1,66 @@
+//! gRPC: the service `ubbmap.v1.MapService` on the port of REST, with gRPC-Web, reflection and health. What an
+//! operation means is the service's alone.
+
+mod codec;
+mod health;
+mod observe;
+mod service;
+mod status;
+
+use super::door::Door;
+use crate::service::MapService;
+use axum::Router;
+use generated::map_service_server::MapServiceServer;
+use service::MapRpc;
+use tonic_web::GrpcWebLayer;
+use tower_http::catch_panic::CatchPanicLayer;
+
+pub use observe::describe_metrics;
+pub use status::DOMAIN;
+
+/// The service and a client of it, generated from `proto/`.
+#[allow(missing_docs, clippy::all, reason = "generated")]
+pub mod generated {
+    include!(concat!(env!("OUT_DIR"), "/grpc/ubbmap.v1.rs"));
+}
+
+/// The interface as reflection tells it.
+const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.bin"));
+
+/// Limits that are gRPC's own; those of operations are the service's.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GrpcSettings {
+    /// Largest message, bytes.
+    pub message_bytes: usize,
+    /// Most scans of one stream that are not acknowledged yet.
+    pub scans_per_stream: usize,
+}
+
+/// The routes over a service, to be merged with those of REST. Starts the task that tells the health.
+///
+/// # Errors
+/// When the interface's own description cannot be read.
+pub fn router(
+    service: MapService,
+    settings: GrpcSettings,
+    door: Door,
+) -> Result<Router, tonic_reflection::server::Error> {
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
+    let limit = settings.message_bytes;
+    let health = health::watched(service.clone(), door.clone());
+    let maps = MapServiceServer::new(MapRpc::new(service, settings, door)).max_decoding_message_size(limit);
+    let router = tonic::service::Routes::new(maps)
+        .add_service(health)
+        .add_service(reflection().build_v1()?)
+        .add_service(reflection().build_v1alpha()?)
+        .into_axum_router()
+        .reset_fallback();
+    Ok(router
+        .layer(CatchPanicLayer::custom(observe::panicked))
+        .layer(axum::middleware::from_fn_with_state(limit, observe::observe))
+        .layer(GrpcWebLayer::new()))
+}

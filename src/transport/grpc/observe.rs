@@ -1,0 +1,79 @@
+//! Around every call: its time, its metrics, panics, and the errors that the library answers by itself.
+
+use super::status::{to_status, too_large};
+use crate::service::{ErrorKind, ServiceError};
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::Response as HttpResponse;
+use axum::middleware::Next;
+use axum::response::Response;
+use metrics::{counter, describe_counter, describe_histogram, histogram};
+use std::any::Any;
+use std::time::Instant;
+use tonic::{Code, Status};
+
+const SECONDS: &str = "ubbmap_grpc_call_seconds";
+const TOTAL: &str = "ubbmap_grpc_calls_total";
+
+/// What begins with this is the interface's own.
+const SERVICE: &str = "/ubbmap.v1.MapService/";
+
+/// The methods of the service: any other word is the client's, and would be a label of its own.
+const METHODS: [&str; 19] = [
+    "CreateMap",
+    "GetMap",
+    "ListMaps",
+    "DeleteMap",
+    "InsertScans",
+    "StreamScans",
+    "GetClasses",
+    "GetRegion",
+    "GetGrid",
+    "GetTile",
+    "CheckGuaranteedFree",
+    "GetChanges",
+    "WatchMap",
+    "CreateSnapshot",
+    "ListSnapshots",
+    "RestoreSnapshot",
+    "DeleteSnapshot",
+    "ExportMap",
+    "ImportMap",
+];
+
+/// Tells the recorder what each metric means. Call it once, after the recorder is installed.
+pub fn describe_metrics() {
+    describe_histogram!(SECONDS, "Seconds from a call's head to the head of its answer, by method");
+    describe_counter!(TOTAL, "Calls by method and code; a stream counts when its answer begins");
+}
+
+/// Times and counts a call. `limit` is that of messages, bytes.
+pub async fn observe(State(limit): State<usize>, request: Request, next: Next) -> Response {
+    let asked = request.uri().path().strip_prefix(SERVICE).unwrap_or_default();
+    let method = METHODS.into_iter().find(|method| *method == asked).unwrap_or("other");
+    let begun = Instant::now();
+    let mut response = next.run(request).await;
+    let mut code = Status::from_header_map(response.headers()).map_or(Code::Ok, |status| status.code());
+    // The library refuses a message above the limit before anything of ours sees it; ours come with details.
+    let foreign = response.headers().get(Status::GRPC_STATUS_DETAILS).is_none();
+    if code == Code::OutOfRange && foreign {
+        let status = to_status(&too_large(limit));
+        code = status.code();
+        response = status.into_http();
+    }
+    histogram!(SECONDS, "method" => method).record(begun.elapsed().as_secs_f64());
+    counter!(TOTAL, "method" => method, "code" => format!("{code:?}")).increment(1);
+    response
+}
+
+/// The answer to a call whose handler panicked. The panic's words are for the log.
+#[expect(clippy::needless_pass_by_value, reason = "the layer calls it with the value")]
+pub fn panicked(panic: Box<dyn Any + Send + 'static>) -> HttpResponse<Body> {
+    let words = panic
+        .downcast_ref::<String>()
+        .map(String::as_str)
+        .or_else(|| panic.downcast_ref::<&str>().copied())
+        .unwrap_or("without words");
+    tracing::error!(panic = words, "a call panicked");
+    to_status(&ServiceError::new(ErrorKind::Internal, "the server failed to answer the request")).into_http()
+}

@@ -1,0 +1,151 @@
+//! The methods of `ubbmap.v1.MapService`.
+
+use super::GrpcSettings;
+use super::generated::map_service_server;
+use super::status::{from_status, to_status};
+use crate::service::{MapService, ServiceError};
+use crate::transport::door::Door;
+use crate::transport::{operations, scan_stream, watching};
+use crate::wire::v1;
+use futures_util::StreamExt;
+use std::pin::Pin;
+use tokio::sync::mpsc;
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+/// Acknowledgements that wait for a client to read them.
+const WAITING_ACKNOWLEDGEMENTS: usize = 16;
+
+type Answer<T> = Result<Response<T>, Status>;
+type Messages<T> = Pin<Box<dyn Stream<Item = Result<T, Status>> + Send>>;
+
+/// The service behind the generated routes.
+pub struct MapRpc {
+    service: MapService,
+    settings: GrpcSettings,
+    door: Door,
+}
+
+impl MapRpc {
+    pub(super) fn new(service: MapService, settings: GrpcSettings, door: Door) -> Self {
+        Self { service, settings, door }
+    }
+
+    /// One operation, among those under way and for as long as one may take.
+    async fn unary<T>(&self, work: impl Future<Output = Result<T, ServiceError>>) -> Answer<T> {
+        let answer = async {
+            let _place = self.door.request()?;
+            self.door.timed(work).await?
+        };
+        answer.await.map(Response::new).map_err(|error| to_status(&error))
+    }
+}
+
+fn messages<T: Send + 'static>(receiver: mpsc::Receiver<Result<T, ServiceError>>) -> Messages<T> {
+    Box::pin(ReceiverStream::new(receiver).map(|message| message.map_err(|error| to_status(&error))))
+}
+
+fn not_there<T>(what: &str) -> Answer<T> {
+    Err(to_status(&operations::not_there(what)))
+}
+
+#[tonic::async_trait]
+impl map_service_server::MapService for MapRpc {
+    type StreamScansStream = Messages<v1::StreamScansResponse>;
+    type WatchMapStream = Messages<v1::WatchMapResponse>;
+    type ExportMapStream = Messages<v1::ExportMapResponse>;
+
+    async fn create_map(&self, request: Request<v1::CreateMapRequest>) -> Answer<v1::CreateMapResponse> {
+        self.unary(operations::create_map(&self.service, request.into_inner())).await
+    }
+
+    async fn get_map(&self, request: Request<v1::GetMapRequest>) -> Answer<v1::GetMapResponse> {
+        self.unary(operations::get_map(&self.service, request.into_inner())).await
+    }
+
+    async fn list_maps(&self, _: Request<v1::ListMapsRequest>) -> Answer<v1::ListMapsResponse> {
+        self.unary(operations::list_maps(&self.service)).await
+    }
+
+    async fn delete_map(&self, request: Request<v1::DeleteMapRequest>) -> Answer<v1::DeleteMapResponse> {
+        self.unary(operations::delete_map(&self.service, request.into_inner())).await
+    }
+
+    async fn insert_scans(&self, request: Request<v1::InsertScansRequest>) -> Answer<v1::InsertScansResponse> {
+        self.unary(operations::insert_scans(&self.service, request.into_inner())).await
+    }
+
+    async fn stream_scans(
+        &self,
+        request: Request<Streaming<v1::StreamScansRequest>>,
+    ) -> Answer<Self::StreamScansStream> {
+        let place = self.door.stream().map_err(|error| to_status(&error))?;
+        let (service, door, settings) = (self.service.clone(), self.door.clone(), self.settings.clone());
+        let limit = settings.message_bytes;
+        let incoming = request.into_inner().map(move |message| message.map_err(|status| from_status(&status, limit)));
+        let (out, receiver) = mpsc::channel(WAITING_ACKNOWLEDGEMENTS);
+        tokio::spawn(async move {
+            scan_stream::run(&service, &door, settings.scans_per_stream, incoming, out).await;
+            drop(place);
+        });
+        Ok(Response::new(messages(receiver)))
+    }
+
+    async fn get_classes(&self, request: Request<v1::GetClassesRequest>) -> Answer<v1::GetClassesResponse> {
+        self.unary(operations::get_classes(&self.service, request.into_inner())).await
+    }
+
+    async fn get_region(&self, request: Request<v1::GetRegionRequest>) -> Answer<v1::GetRegionResponse> {
+        self.unary(operations::get_region(&self.service, request.into_inner())).await
+    }
+
+    async fn get_grid(&self, request: Request<v1::GetGridRequest>) -> Answer<v1::GetGridResponse> {
+        self.unary(operations::get_grid(&self.service, request.into_inner())).await
+    }
+
+    async fn get_tile(&self, request: Request<v1::GetTileRequest>) -> Answer<v1::GetTileResponse> {
+        self.unary(operations::get_tile(&self.service, request.into_inner())).await
+    }
+
+    async fn check_guaranteed_free(
+        &self,
+        request: Request<v1::CheckGuaranteedFreeRequest>,
+    ) -> Answer<v1::CheckGuaranteedFreeResponse> {
+        self.unary(operations::check_guaranteed_free(&self.service, request.into_inner())).await
+    }
+
+    async fn get_changes(&self, request: Request<v1::GetChangesRequest>) -> Answer<v1::GetChangesResponse> {
+        self.unary(operations::get_changes(&self.service, request.into_inner())).await
+    }
+
+    async fn watch_map(&self, request: Request<v1::WatchMapRequest>) -> Answer<Self::WatchMapStream> {
+        let request = request.into_inner();
+        let watch = self.door.timed(watching::begin(&self.service, &self.door, &request)).await;
+        watch.and_then(|begun| begun).map(messages).map(Response::new).map_err(|error| to_status(&error))
+    }
+
+    async fn create_snapshot(&self, _: Request<v1::CreateSnapshotRequest>) -> Answer<v1::CreateSnapshotResponse> {
+        not_there("snapshots")
+    }
+
+    async fn list_snapshots(&self, _: Request<v1::ListSnapshotsRequest>) -> Answer<v1::ListSnapshotsResponse> {
+        not_there("snapshots")
+    }
+
+    async fn restore_snapshot(&self, _: Request<v1::RestoreSnapshotRequest>) -> Answer<v1::RestoreSnapshotResponse> {
+        not_there("snapshots")
+    }
+
+    async fn delete_snapshot(&self, _: Request<v1::DeleteSnapshotRequest>) -> Answer<v1::DeleteSnapshotResponse> {
+        not_there("snapshots")
+    }
+
+    async fn export_map(&self, _: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
+        not_there("exports")
+    }
+
+    async fn import_map(&self, _: Request<Streaming<v1::ImportMapRequest>>) -> Answer<v1::ImportMapResponse> {
+        not_there("imports")
+    }
+}

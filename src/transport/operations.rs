@@ -1,0 +1,146 @@
+//! Every operation from its request message to its response message: what all transports have in common.
+
+use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::wire::{self, Batch, v1};
+
+/// Creates a map.
+///
+/// # Errors
+/// As [`MapService::create_map`].
+pub async fn create_map(
+    service: &MapService,
+    request: v1::CreateMapRequest,
+) -> Result<v1::CreateMapResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    let config = wire::map_config(request.config.unwrap_or_default())?;
+    Ok(wire::create_map_response(service.create_map(&name, config).await?))
+}
+
+/// One map.
+///
+/// # Errors
+/// As [`MapService::map`].
+pub async fn get_map(service: &MapService, request: v1::GetMapRequest) -> Result<v1::GetMapResponse, ServiceError> {
+    Ok(wire::get_map_response(service.map(&wire::map_name(&request.map)?).await?))
+}
+
+/// All maps.
+///
+/// # Errors
+/// As [`MapService::maps`].
+pub async fn list_maps(service: &MapService) -> Result<v1::ListMapsResponse, ServiceError> {
+    Ok(wire::list_maps_response(service.maps().await?))
+}
+
+/// Deletes a map.
+///
+/// # Errors
+/// As [`MapService::delete_map`].
+pub async fn delete_map(
+    service: &MapService,
+    request: v1::DeleteMapRequest,
+) -> Result<v1::DeleteMapResponse, ServiceError> {
+    service.delete_map(&wire::map_name(&request.map)?).await?;
+    Ok(v1::DeleteMapResponse {})
+}
+
+/// Applies scans.
+///
+/// # Errors
+/// As [`MapService::insert`].
+pub async fn insert_scans(
+    service: &MapService,
+    request: v1::InsertScansRequest,
+) -> Result<v1::InsertScansResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    limited(request.scans.len(), service.settings().max_scans_per_request, "scans", ErrorKind::TooManyScans)?;
+    let mut batch = Batch::new(request.scans);
+    let answer = service.insert(&name, batch.take_scans()).await?;
+    Ok(batch.response(answer))
+}
+
+/// Classes at points.
+///
+/// # Errors
+/// As [`MapService::classes`].
+pub async fn get_classes(
+    service: &MapService,
+    request: v1::GetClassesRequest,
+) -> Result<v1::GetClassesResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    limited(request.points.len(), service.settings().max_points, "points", ErrorKind::TooManyPoints)?;
+    let points = wire::points(&request.points)?;
+    Ok(wire::classes_response(service.classes(&name, &points, request.depth).await?))
+}
+
+/// Quadtree leaves of a box.
+///
+/// # Errors
+/// As [`MapService::region`].
+pub async fn get_region(
+    service: &MapService,
+    request: v1::GetRegionRequest,
+) -> Result<v1::GetRegionResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    Ok(wire::region_response(service.region(&name, &wire::region_query(&request)).await?))
+}
+
+/// Dense raster of a box.
+///
+/// # Errors
+/// As [`MapService::grid`].
+pub async fn get_grid(service: &MapService, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    Ok(wire::grid_response(service.grid(&name, &wire::grid_query(&request)).await?))
+}
+
+/// One tile.
+///
+/// # Errors
+/// As [`MapService::tile`].
+pub async fn get_tile(service: &MapService, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    let v1::GetTileRequest { z, x, y, .. } = request;
+    Ok(wire::tile_response(service.tile(&name, z, x, y).await?, (z, x, y)))
+}
+
+/// The guaranteed-free query.
+///
+/// # Errors
+/// As [`MapService::guaranteed_free`].
+pub async fn check_guaranteed_free(
+    service: &MapService,
+    request: v1::CheckGuaranteedFreeRequest,
+) -> Result<v1::CheckGuaranteedFreeResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    let settings = service.settings();
+    limited(request.regions.len(), settings.max_regions, "regions", ErrorKind::TooManyRegions)?;
+    let regions = wire::regions(request.regions, &settings.region)?;
+    Ok(wire::free_response(&service.guaranteed_free(&name, &regions, request.tolerance).await?))
+}
+
+/// Blocks changed since a revision.
+///
+/// # Errors
+/// As [`MapService::changes`].
+pub async fn get_changes(
+    service: &MapService,
+    request: v1::GetChangesRequest,
+) -> Result<v1::GetChangesResponse, ServiceError> {
+    let name = wire::map_name(&request.map)?;
+    let query = wire::changes_query(&request);
+    Ok(wire::changes_response(service.changes(&name, request.since, &query).await?))
+}
+
+/// What is in the interface and not in this version.
+#[must_use]
+pub fn not_there(what: &str) -> ServiceError {
+    ServiceError::new(ErrorKind::RouteNotFound, format!("{what} are not in this version of the server"))
+}
+
+fn limited(count: usize, most: usize, field: &str, kind: ErrorKind) -> Result<(), ServiceError> {
+    if count <= most {
+        return Ok(());
+    }
+    Err(ServiceError::new(kind, format!("the request has {count} {field}, the limit is {most}")).at(field))
+}
