@@ -127,8 +127,8 @@ fn figures(experiment: &Experiment, maps: &Maps) -> anyhow::Result<Vec<Block>> {
             "section",
             format!(
                 "The section of {} x {} m in which the grid loses most of what `guaranteed` holds ({lost} leaves). Red: ten or more \
-                 laser returns ended in the leaf, and the map calls it free. The log's poses are not exact: with boxes that hold them \
-                 `guaranteed` keeps what the exact ones lose, but for what moved.",
+                 laser returns ended in the leaf, and the map calls it free. The log's poses are not exact: with boxes about them \
+                 `guaranteed` keeps most of what it loses by exact ones.",
                 f64::from(part.max_x - part.min_x) * grid.resolution(),
                 f64::from(part.max_y - part.min_y) * grid.resolution(),
             ),
@@ -137,7 +137,7 @@ fn figures(experiment: &Experiment, maps: &Maps) -> anyhow::Result<Vec<Block>> {
         figure(
             "coarse",
             format!(
-                "Figure 5: the tree of `outer` read at {} m, its cells outlined; merged cells are larger. No obstacle is lost: a \
+                "Figure 5: the tree of `outer` read at {} m, its cells outlined; merged cells are larger. No occupied leaf is lost: a \
                  coarse cell has the maximum class below it.",
                 grid.node_size(depth)
             ),
