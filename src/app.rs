@@ -69,6 +69,9 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     let open = Arc::downgrade(&store);
     let server = Server::start(&config, store).await?;
     tracing::info!(address = %server.address(), "ready");
+    if let Some(zenoh) = server.zenoh() {
+        tracing::info!(id = zenoh.id(), listen = zenoh.locators().join(","), "on Zenoh");
+    }
     ready(server.address());
     stop.await;
     tracing::info!("draining");
