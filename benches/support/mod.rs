@@ -6,19 +6,13 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
-use std::time::Instant;
 use ubbmap::sensor::{Angles, PoseBox, PoseLimits, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
 use ubbmap::simulation::{Fleet, Motion, Quirks, pose_box_around, simulate_scan};
 
-static START: LazyLock<Instant> = LazyLock::new(Instant::now);
-
-/// Seconds of processor time of this thread where the system tells (Linux), so that other programs do not count; else of
-/// the clock.
+/// Seconds of processor time of this thread so far, so that other programs do not count.
 pub fn seconds() -> f64 {
-    let schedstat = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
-    let on_cpu = schedstat.and_then(|text| text.split(' ').next()?.parse::<u64>().ok());
-    on_cpu.map_or_else(|| START.elapsed().as_secs_f64(), |nanoseconds| nanoseconds as f64 * 1e-9)
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 /// A scan with the pose of the laser: metres, radians.

@@ -7,10 +7,10 @@
 )]
 
 use crate::regions_exact::Dice;
-use crate::rules_support::{Case, Tally, survey, survey_wide};
+use crate::rules_support::{Case, Tally, config, survey, survey_wide};
 use std::f64::consts::{PI, TAU};
-use ubbmap::mapping::EvidenceRule;
 use ubbmap::mapping::reference::pointwise_rho;
+use ubbmap::mapping::{EvidenceRule, Surveyor};
 use ubbmap::quadtree::Grid;
 use ubbmap::sensor::{Angles, Mount, PoseBox, PoseLimits, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
 
@@ -292,4 +292,14 @@ fn the_pointwise_radius_is_the_largest_that_meets_the_conditions() {
         assert!(rho < 1e-12 || holds(rho * (1.0 - 1e-9) - 1e-15), "{context}");
         assert!(!holds(rho * (1.0 + 1e-9) + 1e-15), "{context}");
     }
+}
+
+/// A thread lends its surveyor and holds a new one meanwhile: blanking a window for that took longer than the scan.
+#[test]
+fn a_surveyor_that_draws_nothing_blanked_a_window() {
+    let mut surveyor = Surveyor::new();
+    assert_eq!(surveyor.window_bytes(), 0);
+    let (grid, scan, width, _) = random(Family::Plain, 1);
+    surveyor.survey(&config(grid, EvidenceRule::Guaranteed, width, scan.sensor()), &scan);
+    assert!(surveyor.window_bytes() >= 3 * 4096 * 4096 / 8);
 }

@@ -106,6 +106,13 @@ impl Surveyor {
         Self { wide: true, ..Self::default() }
     }
 
+    /// Bytes of the dense window: none before the first drawing, since surveyors are made to stand in for lent ones.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn window_bytes(&self) -> usize {
+        self.dense.window.bytes()
+    }
+
     /// A surveyor with a planted fault, for tests only.
     #[doc(hidden)]
     #[must_use]

@@ -20,27 +20,29 @@ const WORDS: usize = TILES * SIDE;
 /// One plane: a bit a leaf.
 pub(super) type Bits = [u64; WORDS];
 
-/// Memory of one plane that begins with a cache line. It comes blank from the system, page by page when it is first used.
-#[derive(Debug)]
+/// Memory of one plane that begins with a cache line. There is none until a drawing begins, so that a window that draws nothing
+/// costs nothing.
+#[derive(Debug, Default)]
 pub(super) struct PlaneMemory {
     memory: Vec<u64>,
     start: usize,
 }
 
-impl Default for PlaneMemory {
-    fn default() -> Self {
-        let memory = vec![0; WORDS + 8];
-        // Where the address of an allocation cannot be told, any start will do.
-        let start = Some(memory.as_ptr().align_offset(64)).filter(|start| *start < 8).unwrap_or(0);
-        Self { memory, start }
-    }
-}
-
 impl PlaneMemory {
+    /// Sees to it that there is memory. It comes blank from the system, page by page when it is first used.
+    fn prepare(&mut self) {
+        if self.memory.is_empty() {
+            self.memory = vec![0; WORDS + 8];
+            // Where the address of an allocation cannot be told, any start will do.
+            self.start = Some(self.memory.as_ptr().align_offset(64)).filter(|start| *start < 8).unwrap_or(0);
+        }
+    }
+
+    /// The plane, after [`Window::begin`].
     pub(super) fn bits(&mut self) -> &mut Bits {
         match self.memory[self.start..].first_chunk_mut() {
             Some(bits) => bits,
-            None => unreachable!("there are eight words more than a plane has"),
+            None => unreachable!("a drawing has begun, and eight words more than a plane has were taken"),
         }
     }
 }
@@ -222,9 +224,15 @@ pub(super) fn touch(touched: &mut Touched, (column, row): (usize, usize), column
 }
 
 impl Window {
+    /// Bytes of the planes.
+    pub(super) fn bytes(&self) -> usize {
+        self.planes.iter().map(|plane| size_of_val(plane.memory.as_slice())).sum()
+    }
+
     /// Starts a drawing on the blank window, whose sensor stands in the middle tile; nothing is drawn farther than `reach`
     /// leaves from that tile.
     pub(super) fn begin(&mut self, base: (i64, i64), reach: f64) {
+        self.planes.iter_mut().for_each(PlaneMemory::prepare);
         self.base = base;
         self.reach = (reach / f64::from(BLOCK_SIDE)) as usize + 1;
         self.filled = false;
