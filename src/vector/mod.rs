@@ -1,8 +1,8 @@
 //! Floor 0: which vector instructions the machine has, and functions that are compiled once for each.
 //!
 //! One binary runs on any processor of its architecture. A hot function is written once, in plain Rust over slices, as
-//! the body of [`on_each_path!`](crate::vector::on_each_path); the compiler makes one copy of it for each [`Path`] and the copy is chosen at run
-//! time. Rust contracts no floating-point operations by itself, so every copy computes the same numbers bit by bit.
+//! the body of the macro `on_each_path!`; the compiler makes one copy of it for each [`Path`] and the copy is chosen at
+//! run time. Rust contracts no floating-point operations by itself, so every copy computes the same numbers bit by bit.
 
 mod step;
 

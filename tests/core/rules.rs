@@ -303,3 +303,25 @@ fn a_surveyor_that_draws_nothing_blanked_a_window() {
     surveyor.survey(&config(grid, EvidenceRule::Guaranteed, width, scan.sensor()), &scan);
     assert!(surveyor.window_bytes() >= 3 * 4096 * 4096 / 8);
 }
+
+/// A heading wide beside the steps has a window of as many sectors as fit into it.
+#[test]
+fn steps_of_next_to_nothing_asked_for_memory_without_end() {
+    let sensor = SensorModel::new(SensorSpec::default()).unwrap();
+    let grid = Grid::new(0.1, 10, None).unwrap();
+    for increment in [1.1e-309, 1e-300, -1e-12, 1e-9, 1e-6] {
+        for beams in [2, 3, 100] {
+            let spec = ScanSpec {
+                pose: PoseBox::new((0.0, 0.0), (0.0, 0.0), (0.0, 0.5), &PoseLimits::default()).unwrap(),
+                angles: Angles::Uniform { min: 0.0, increment },
+                ranges: vec![3.4; beams],
+                footprint_radius: 0.0,
+                sweep_rotation: 0.0,
+                sweep_translation: 0.0,
+            };
+            let scan = Scan::new(spec, sensor, &ScanLimits::default()).unwrap();
+            let leaves = survey(grid, EvidenceRule::Guaranteed, 0.05, &scan);
+            assert!(leaves.sets().1.is_empty() && !leaves.sets().0.is_empty(), "{increment}, {beams} beams");
+        }
+    }
+}

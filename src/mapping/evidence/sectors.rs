@@ -224,6 +224,12 @@ impl Sectors {
             return 0.0;
         }
         let wide = half_width + even.seam_error;
+        if 2.0 * wide >= count as f64 * even.step {
+            // Every window reaches over the ends of the view, or all the way round: nothing is shown. So no window has more
+            // sectors than there are, however small the steps.
+            between.resize(count, 0.0);
+            return 0.0;
+        }
         let mut whole = (wide / even.step).floor();
         let mut rest = (wide - whole * even.step).max(0.0);
         if (even.step - rest) * reach < NEGLIGIBLE {
