@@ -5,6 +5,7 @@ usage: grpc_peer.py BINARY LOG
 
 import sys
 import threading
+import time
 
 import grpc
 import numpy as np
@@ -47,31 +48,30 @@ def main():
 
         copy = Copy(stub.GetGrid(queries.GetGridRequest(map="intel", **BOX)))
         watch = stub.WatchMap(changes.WatchMapRequest(map="intel", since=0, contents=True, **BOX))
-        done = threading.Event()
-
         def follow():
-            for change in watch:
-                copy.take(change)
-                if done.is_set() and copy.revision >= final:
-                    return
+            try:
+                for change in watch:
+                    copy.take(change)
+            except grpc.RpcError as error:
+                assert error.code() == grpc.StatusCode.CANCELLED, error
 
         def send():
             for sequence, (pose, ranges) in enumerate(recorded):
                 scan = scans.Scan(robot="intel", **scan_fields(sequence, pose, ranges))
                 yield scans.StreamScansRequest(map="intel", scan=scan)
 
-        final = 0
         watcher = threading.Thread(target=follow, daemon=True)
         watcher.start()
         fates = list(stub.StreamScans(send()))
         assert [fate.sequence for fate in fates] == list(range(len(recorded)))
         assert not any(fate.duplicate or fate.HasField("rejected") for fate in fates)
-        final = fates[-1].revision
-        done.set()
-        # One more commit wakes a watcher that had read all before it was told to end.
         pose, ranges = recorded[0]
         extra = scans.Scan(robot="extra", **scan_fields(0, pose, ranges))
         final = stub.InsertScans(scans.InsertScansRequest(map="intel", scans=[extra])).revision
+        until = time.monotonic() + 30
+        while copy.revision < final and time.monotonic() < until:
+            time.sleep(0.02)
+        watch.cancel()
         watcher.join(30)
         assert not watcher.is_alive() and copy.revision == final, (copy.revision, final)
         whole = stub.GetGrid(queries.GetGridRequest(map="intel", **BOX))
