@@ -123,7 +123,7 @@ impl Dense {
         }
         let place = frame.place();
         let (about, between) = (&mut self.about, &mut self.between);
-        let aside = self.sectors.envelope(path, spec.even, spec.half_width, frame.reach, about, between);
+        let aside = self.sectors.envelope(path, spec.even, spec.half_width, about, between);
         let [_, boundary, toggle, _] = &mut self.window.planes;
         let (boundary, toggle) = (boundary.bits(), toggle.bits());
         let target = Target { boundary, toggle, touched: &mut self.window.touched };

@@ -90,8 +90,8 @@ impl Frame {
     /// With `u = 2^-24` and `R` the reach, all in leaves: a unit vector's part is off by 3.5 u (its own rounding, that of the
     /// heading's direction, two products and a sum), `rho` by 7 u R (the scaled range, its error, the product and sum of the
     /// rule), so a vertex by 13 u R with its product and the sum with the sensor's place; the dilation and `floor` add 2 u R.
-    /// Where the x of an edge or side is found for a y, that y is off by as much as the vertex and 8 u R more. Leaving out
-    /// narrow pieces (`NEGLIGIBLE` in [`super::sectors`]) is no rounding: it moves no vertex outward. Together 24 u R; taken is
+    /// Where the x of an edge or side is found for a y, that y is off by as much as the vertex and 8 u R more. A heading
+    /// taken for whole steps (`NEGLIGIBLE` in [`super::sectors`]) moves what is shown by up to 4 u R. Together 28 u R; taken is
     /// 32 u (R + 2) = 2^-19 (R + 2).
     pub(super) fn rounding(&self) -> f64 {
         (self.reach + 2.0) / f64::from(1 << 19)

@@ -212,7 +212,6 @@ impl Sectors {
         path: Path,
         even: Even,
         half_width: f64,
-        reach: f64,
         about: &mut Vec<f32>,
         between: &mut Vec<f32>,
     ) -> f64 {
@@ -232,12 +231,12 @@ impl Sectors {
         }
         let mut whole = (wide / even.step).floor();
         let mut rest = (wide - whole * even.step).max(0.0);
-        if (even.step - rest) * reach < NEGLIGIBLE {
+        if even.step - rest < NEGLIGIBLE {
             whole += 1.0;
             rest = 0.0;
         }
         let q = whole as usize;
-        let single = rest * reach < NEGLIGIBLE;
+        let single = rest < NEGLIGIBLE;
         let narrow = single || 2.0 * rest < even.step;
         let widest = 2 * q + if narrow { 2 } else { 3 };
         let before = q + 2;
@@ -274,8 +273,10 @@ impl Sectors {
     }
 }
 
-/// Pieces narrower than this along their arc are left out, leaves: with the slack of single precision this moves nothing.
-const NEGLIGIBLE: f64 = 1.0 / 8192.0;
+/// A half width that is more than whole steps by less is taken for whole steps, radians: `4 u` with `u = 2^-24`, which counts in
+/// the slack of single precision ([`super::frame`]). So the rounding of a bound that was meant to be whole steps does not
+/// double the pieces.
+const NEGLIGIBLE: f64 = 1.0 / (1 << 22) as f64;
 
 impl GapRule {
     fn gap(&self, steps: usize) -> Gap {
