@@ -183,7 +183,7 @@ impl Registry {
             let detail = format!("the server has {limit} maps, which is the limit");
             return Err(ServiceError::new(ErrorKind::TooManyMaps, detail));
         }
-        let created = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+        let created = now();
         let (store, named, stored) = (Arc::clone(&self.store), name.clone(), config.clone());
         let result = blocking(move || store.create(&named, &stored, created)).await?;
         let id = result.map_err(|e| store_failure(name, "create", &e))?;
@@ -395,6 +395,11 @@ fn first_difference(now: &MapConfig, asked: &MapConfig) -> Option<String> {
     differing.or_else(|| missing().map(|name| format!("sensors.{name}")))
 }
 
+/// Seconds since the Unix epoch.
+pub(super) fn now() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
+
 /// Runs what blocks on a thread for it.
 pub(super) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, ServiceError> {
     tokio::task::spawn_blocking(work).await.map_err(|e| thread_failed(&e))
@@ -424,7 +429,7 @@ fn store_error(doing: &str, error: &StoreError) -> ServiceError {
             tracing::error!(%error, "could not {doing}");
             ServiceError::new(ErrorKind::MapDamaged, format!("the server could not {doing}: {error}"))
         }
-        StoreError::Refused(_) => {
+        StoreError::SnapshotExists(_) | StoreError::NoSnapshot(_) | StoreError::Refused(_) => {
             tracing::error!(%error, "could not {doing}");
             ServiceError::new(ErrorKind::Internal, format!("the server failed to {doing}"))
         }

@@ -8,7 +8,7 @@ use super::changes::ChangeLog;
 use super::evidence::too_old;
 use super::gate::Inside;
 use super::metrics;
-use super::registry::store_failure;
+use super::registry::{now, store_failure};
 use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
 use crate::quadtree::{BlockAddress, BlockPager, LeafMasks, PageError, PagedTree};
 use crate::store::{Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError};
@@ -291,7 +291,8 @@ impl<'a> Round<'a> {
         if !self.windows.is_empty() {
             Arc::make_mut(&mut windows).extend(self.windows.iter().map(|(r, w)| (r.clone(), w.clone())));
         }
-        let commit = Commit { revision, blocks, windows: self.windows.into_iter().collect() };
+        let changed = now();
+        let commit = Commit { revision, changed, blocks, windows: self.windows.into_iter().collect() };
         Ok(Some((commit, Published { revision, tree: self.tree, windows })))
     }
 }

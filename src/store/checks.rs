@@ -1,6 +1,7 @@
 //! What every store asks of a commit before it writes anything.
 
-use super::{Commit, StoreError, StoredMap};
+use super::{Commit, LoadedMap, StoreError, StoredMap};
+use crate::mapping::MapConfig;
 use crate::quadtree::{BLOCK_SIDE, BlockAddress, BlockView, Class, Grid};
 use std::collections::BTreeSet;
 
@@ -41,6 +42,18 @@ pub(super) fn check_commit(stored: &StoredMap, commit: &Commit) -> Result<(), St
         }
     }
     Ok(())
+}
+
+/// What is to become a map's contents has the map's depth and classes.
+///
+/// # Errors
+/// [`StoreError::Refused`] when it has others.
+pub(super) fn check_contents(config: &MapConfig, contents: &LoadedMap) -> Result<(), StoreError> {
+    let (depth, scale) = (contents.tree.depth(), contents.tree.scale());
+    if depth == config.grid().depth() && scale == config.scale() {
+        return Ok(());
+    }
+    Err(StoreError::Refused(format!("contents of depth {depth} and {} classes do not fit the map", scale.count())))
 }
 
 fn class_off_scale(view: &BlockView, grid: &Grid, highest: Class) -> Option<Class> {

@@ -1,13 +1,16 @@
 //! Maps in memory: for tests, and for trials whose maps may vanish with the process.
 
-use super::checks::check_commit;
-use super::{Commit, LoadedMap, MapId, MapName, MapStore, OpenMap, StoreError, StoredMap, lock};
+use super::checks::{check_commit, check_contents};
+use super::{
+    BlockStamp, BlockStamps, Commit, Difference, LoadedMap, MapId, MapName, MapStore, OpenMap, RobotName,
+    SequenceWindow, SnapshotName, StoreError, StoredMap, StoredSnapshot, lock,
+};
 use crate::mapping::MapConfig;
 use crate::quadtree::{
     Block, BlockAddress, BlockCache, BlockPager, BlockSource, BlockTag, BlockView, OccupancyTree, PagedTree,
     SourceError,
 };
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -34,8 +37,14 @@ struct State {
 struct Kept {
     stored: StoredMap,
     loaded: LoadedMap,
-    /// The revision that wrote each block, by Morton code.
-    written: BTreeMap<u64, u64>,
+    stamps: BlockStamps,
+    snapshots: BTreeMap<SnapshotName, (StoredSnapshot, LoadedMap)>,
+}
+
+impl Kept {
+    fn snapshot(&self, name: &SnapshotName) -> Result<&LoadedMap, StoreError> {
+        self.snapshots.get(name).map(|(_, loaded)| loaded).ok_or_else(|| StoreError::NoSnapshot(name.clone()))
+    }
 }
 
 /// The blocks of one map.
@@ -55,7 +64,7 @@ impl BlockSource for Source {
             return Err(damaged(what).into());
         }
         let kept = state.map(self.id)?;
-        let written = kept.written.get(&tag.address.morton()).copied();
+        let written = kept.stamps.get(tag.address).map(|stamp| stamp.revision);
         match kept.loaded.tree.block(tag.address) {
             BlockView::Mixed(block) if written == Some(tag.revision) && block.max_at(0, 0, 0) == tag.max => Ok(block),
             _ => Err(damaged(&format!("written by revision {written:?}, expected {tag:?}")).into()),
@@ -115,6 +124,19 @@ impl MapStore for MemoryStore {
     }
 
     fn create(&self, name: &MapName, config: &MapConfig, created: f64) -> Result<MapId, StoreError> {
+        let tree = OccupancyTree::new(config.grid().depth(), config.scale());
+        let empty = LoadedMap { revision: 0, tree, windows: BTreeMap::new() };
+        self.import(name, config, created, &empty)
+    }
+
+    fn import(
+        &self,
+        name: &MapName,
+        config: &MapConfig,
+        created: f64,
+        contents: &LoadedMap,
+    ) -> Result<MapId, StoreError> {
+        check_contents(config, contents)?;
         let mut state = lock(&self.state);
         state.writable()?;
         if state.maps.values().any(|kept| kept.stored.name == *name) {
@@ -123,10 +145,11 @@ impl MapStore for MemoryStore {
         let next = state.last.checked_add(1);
         state.last = next.ok_or_else(|| StoreError::Refused("no map numbers are left".to_owned()))?;
         let id = MapId(state.last);
-        let stored = StoredMap { id, name: name.clone(), config: config.clone(), revision: 0, created };
-        let tree = OccupancyTree::new(config.grid().depth(), config.scale());
-        let loaded = LoadedMap { revision: 0, tree, windows: BTreeMap::new() };
-        state.maps.insert(id, Kept { stored, loaded, written: BTreeMap::new() });
+        let revision = contents.revision;
+        let stored = StoredMap { id, name: name.clone(), config: config.clone(), revision, created };
+        let mut stamps = BlockStamps::new(revision);
+        contents.tree.visit_blocks(&mut |address, _| stamps.set(address, BlockStamp { revision, changed: created }));
+        state.maps.insert(id, Kept { stored, loaded: contents.clone(), stamps, snapshots: BTreeMap::new() });
         Ok(id)
     }
 
@@ -158,15 +181,15 @@ impl MapStore for MemoryStore {
         let source = Source { state: Arc::clone(&self.state), id };
         let pager = Arc::new(BlockPager::new(Box::new(source), Arc::clone(cache)));
         let mut tree = PagedTree::new(whole.depth(), whole.scale());
-        let written = lock(&self.state).map(id)?.written.clone();
+        let stamps = lock(&self.state).map(id)?.stamps.clone();
         whole.visit_blocks(&mut |address, view| match view {
             BlockView::Uniform(class) => tree.place_uniform(address, *class),
             BlockView::Mixed(block) => {
-                let revision = written.get(&address.morton()).copied().unwrap_or_default();
+                let revision = stamps.get(address).unwrap_or_default().revision;
                 tree.place_stored(BlockTag { address, revision, max: block.max_at(0, 0, 0) }, &pager);
             }
         });
-        Ok(OpenMap { revision, tree, pager: Some(pager), windows })
+        Ok(OpenMap { revision, tree, pager: Some(pager), windows, stamps })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {
@@ -191,9 +214,53 @@ impl MapStore for MemoryStore {
         kept.loaded.revision = commit.revision;
         kept.loaded.tree = tree;
         kept.loaded.windows.extend(commit.windows.iter().cloned());
-        kept.written.extend(commit.blocks.iter().map(|(address, _)| (address.morton(), commit.revision)));
+        kept.loaded.windows.retain(|_, window| window.highest().is_some());
+        let stamp = BlockStamp { revision: commit.revision, changed: commit.changed };
+        commit.blocks.iter().for_each(|(address, _)| kept.stamps.set(*address, stamp));
         state.commits += 1;
         Ok(())
+    }
+
+    fn snapshots(&self, id: MapId) -> Result<Vec<StoredSnapshot>, StoreError> {
+        let mut state = lock(&self.state);
+        Ok(state.map(id)?.snapshots.values().map(|(snapshot, _)| snapshot.clone()).collect())
+    }
+
+    fn take_snapshot(&self, id: MapId, name: &SnapshotName, created: f64) -> Result<StoredSnapshot, StoreError> {
+        let mut state = lock(&self.state);
+        state.writable()?;
+        let kept = state.map(id)?;
+        if kept.snapshots.contains_key(name) {
+            return Err(StoreError::SnapshotExists(name.clone()));
+        }
+        let snapshot = StoredSnapshot { name: name.clone(), revision: kept.stored.revision, created };
+        kept.snapshots.insert(name.clone(), (snapshot.clone(), kept.loaded.clone()));
+        Ok(snapshot)
+    }
+
+    fn delete_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        let mut state = lock(&self.state);
+        state.writable()?;
+        let removed = state.map(id)?.snapshots.remove(name);
+        removed.map(|_| ()).ok_or_else(|| StoreError::NoSnapshot(name.clone()))
+    }
+
+    fn load_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<LoadedMap, StoreError> {
+        lock(&self.state).map(id)?.snapshot(name).cloned()
+    }
+
+    fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
+        let mut state = lock(&self.state);
+        let kept = state.map(id)?;
+        let snapshot = kept.snapshot(name)?;
+        let blocks = kept.stamps.since(snapshot.revision).map(|(address, _)| (address, snapshot.tree.block(address)));
+        let robots: BTreeSet<_> = kept.loaded.windows.keys().chain(snapshot.windows.keys()).collect();
+        let window =
+            |windows: &BTreeMap<_, SequenceWindow>, robot: &RobotName| windows.get(robot).cloned().unwrap_or_default();
+        let changed = |robot: &&RobotName| window(&kept.loaded.windows, *robot) != window(&snapshot.windows, *robot);
+        let windows = robots.into_iter().filter(changed);
+        let windows = windows.map(|robot| (robot.clone(), window(&snapshot.windows, robot))).collect();
+        Ok(Difference { revision: snapshot.revision, blocks: blocks.collect(), windows })
     }
 
     fn failure(&self) -> Option<String> {

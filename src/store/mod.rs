@@ -21,6 +21,7 @@ mod sled_catalogue;
 mod sled_open;
 mod sled_records;
 mod sled_store;
+mod stamps;
 mod window;
 
 #[cfg(test)]
@@ -40,10 +41,11 @@ pub use durability::Syncer;
 pub use map_file::{MapFileError, MapFileLimits, read_map_file, read_map_file_within, write_map_file};
 pub use memory_store::MemoryStore;
 pub use migrate::STORE_FORMAT;
-pub use names::{MapName, NameError, RobotName};
+pub use names::{MapName, NameError, RobotName, SnapshotName};
 pub use sled_catalogue::Verification;
 pub use sled_open::SledOptions;
 pub use sled_store::SledStore;
+pub use stamps::{BlockStamp, BlockStamps};
 pub use window::{SequenceVerdict, SequenceWindow, WINDOW_LENGTH};
 
 /// A map's number in a store; never used again after the map is deleted.
@@ -87,6 +89,8 @@ pub struct OpenMap {
     pub pager: Option<Arc<BlockPager>>,
     /// What every robot has had applied.
     pub windows: BTreeMap<RobotName, SequenceWindow>,
+    /// When each block last changed.
+    pub stamps: BlockStamps,
 }
 
 /// Everything that one commit changes; stored whole or not at all.
@@ -94,9 +98,33 @@ pub struct OpenMap {
 pub struct Commit {
     /// The new revision.
     pub revision: u64,
+    /// When it is made, seconds since the Unix epoch: the time of the last change of its blocks.
+    pub changed: f64,
     /// The changed blocks, each once.
     pub blocks: Vec<(BlockAddress, BlockView)>,
-    /// The changed windows.
+    /// The changed windows; one in which nothing was applied is removed.
+    pub windows: Vec<(RobotName, SequenceWindow)>,
+}
+
+/// A revision of a map that is kept under a name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StoredSnapshot {
+    /// Its name, unique within its map.
+    pub name: SnapshotName,
+    /// The revision that it keeps.
+    pub revision: u64,
+    /// When it was taken, seconds since the Unix epoch.
+    pub created: f64,
+}
+
+/// What leads from a map's last revision to one of its snapshots.
+#[derive(Debug, Clone)]
+pub struct Difference {
+    /// The snapshot's revision.
+    pub revision: u64,
+    /// The blocks that were changed since, as they are in the snapshot.
+    pub blocks: Vec<(BlockAddress, BlockView)>,
+    /// The windows that were changed since, as they are in the snapshot; empty for robots that were not known then.
     pub windows: Vec<(RobotName, SequenceWindow)>,
 }
 
@@ -109,6 +137,12 @@ pub enum StoreError {
     /// There is no such map.
     #[error("no map {0:?} in the store")]
     NoMap(MapId),
+    /// The map has a snapshot of this name.
+    #[error("snapshot {0} exists")]
+    SnapshotExists(SnapshotName),
+    /// The map has no such snapshot.
+    #[error("no snapshot {0}")]
+    NoSnapshot(SnapshotName),
     /// A record's checksum or form is wrong.
     #[error("damaged record: {what}")]
     Damaged {
@@ -211,7 +245,8 @@ pub trait MapStore: Send + Sync + 'static {
     fn open(&self, id: MapId, cache: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
         let _ = cache;
         let LoadedMap { revision, tree, windows } = self.load(id)?;
-        Ok(OpenMap { revision, tree: PagedTree::from(&tree), pager: None, windows })
+        let stamps = BlockStamps::new(revision);
+        Ok(OpenMap { revision, tree: PagedTree::from(&tree), pager: None, windows, stamps })
     }
 
     /// Stores a commit.
@@ -220,6 +255,67 @@ pub trait MapStore: Send + Sync + 'static {
     /// [`StoreError::Refused`] when the revision is not above the map's or a block does not fit the map, and failures;
     /// nothing of the commit is visible after an error.
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError>;
+
+    /// Creates a map with contents. The map is there as a whole or not at all; its blocks count as changed by its
+    /// revision.
+    ///
+    /// # Errors
+    /// [`StoreError::Exists`], [`StoreError::Refused`] when the contents do not fit the configuration, and failures.
+    fn import(
+        &self,
+        name: &MapName,
+        config: &MapConfig,
+        created: f64,
+        contents: &LoadedMap,
+    ) -> Result<MapId, StoreError> {
+        let _ = (name, config, created, contents);
+        Err(StoreError::Refused("this store takes no maps with contents".to_owned()))
+    }
+
+    /// The snapshots of a map, by name.
+    ///
+    /// # Errors
+    /// [`StoreError`]
+    fn snapshots(&self, id: MapId) -> Result<Vec<StoredSnapshot>, StoreError> {
+        let _ = id;
+        Ok(Vec::new())
+    }
+
+    /// Keeps a map's last revision under a name. Costs one record: what is kept is what later commits replace.
+    ///
+    /// # Errors
+    /// [`StoreError::SnapshotExists`] and failures.
+    fn take_snapshot(&self, id: MapId, name: &SnapshotName, created: f64) -> Result<StoredSnapshot, StoreError> {
+        let _ = (id, name, created);
+        Err(StoreError::Refused("this store keeps no snapshots".to_owned()))
+    }
+
+    /// Removes a snapshot, and what was kept for it alone.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSnapshot`] and failures.
+    fn delete_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        let _ = id;
+        Err(StoreError::NoSnapshot(name.clone()))
+    }
+
+    /// Loads what a snapshot keeps. The map itself need not be readable.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSnapshot`] and failures.
+    fn load_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<LoadedMap, StoreError> {
+        let _ = id;
+        Err(StoreError::NoSnapshot(name.clone()))
+    }
+
+    /// What leads from a map's last revision to a snapshot: stored as a commit, it restores it.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSnapshot`] and failures.
+    fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
+        let _ = id;
+        Err(StoreError::NoSnapshot(name.clone()))
+    }
 
     /// Why the store takes no more writes; `None` while it does.
     fn failure(&self) -> Option<String> {

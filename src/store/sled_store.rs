@@ -13,7 +13,10 @@ use super::record;
 use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
 use super::sled_open::{SledOptions, database_path, guarded, open_directory};
 use super::sled_records::{Blocks, Records};
-use super::{Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, OpenMap, StoreError, StoredMap, lock};
+use super::{
+    BlockStamps, Commit, DamagedMap, Difference, LoadedMap, MapId, MapName, MapStore, OpenMap, SnapshotName,
+    StoreError, StoredMap, StoredSnapshot, lock,
+};
 use crate::mapping::MapConfig;
 use crate::quadtree::{BlockCache, BlockPager, BlockView, OccupancyTree, PagedTree};
 use sled::IVec;
@@ -404,7 +407,8 @@ impl MapStore for SledStore {
                 tree.place_uniform(tag.address, tag.max);
             }
         }
-        Ok(OpenMap { revision: entry.stored.revision, tree, pager: Some(pager), windows })
+        let stamps = BlockStamps::new(entry.stored.revision);
+        Ok(OpenMap { revision: entry.stored.revision, tree, pager: Some(pager), windows, stamps })
     }
 
     fn commit(&self, id: MapId, commit: &Commit) -> Result<(), StoreError> {

@@ -109,7 +109,7 @@ fn the_largest_records_stay_out_of_unsynced_files() {
     let full = BlockView::Mixed(Arc::new(ubbmap::quadtree::Block::from_leaves(leaves)));
     for revision in 1..=8 {
         let blocks = (0..400).map(|n| (BlockAddress { x: n % 20, y: n / 20 }, full.clone())).collect();
-        store.commit(id, &Commit { revision, blocks, windows: Vec::new() }).unwrap();
+        store.commit(id, &Commit { revision, changed: 0.0, blocks, windows: Vec::new() }).unwrap();
     }
     assert_eq!(fs::read_dir(directory.path().join("sled/blobs")).unwrap().count(), 0);
     drop(store);
@@ -127,11 +127,11 @@ fn a_power_cut_at_any_sync_of_a_deletion_leaves_the_whole_map_or_none() {
     let id = store.create(&name("plant"), &config(13, 10, 3), 0.0).unwrap();
     // More records than are removed in one batch.
     let blocks: Vec<_> = (0..2500).map(|n| (BlockAddress { x: n % 60, y: n / 60 }, BlockView::Uniform(1))).collect();
-    store.commit(id, &Commit { revision: 1, blocks, windows: Vec::new() }).unwrap();
+    store.commit(id, &Commit { revision: 1, changed: 0.0, blocks, windows: Vec::new() }).unwrap();
     let whole = store.load(id).unwrap();
     let start = control.syncs.load(Ordering::SeqCst);
     *control.copies.lock().unwrap() = Some((directory.path().into(), copies.path().into()));
-    store.commit(id, &Commit { revision: 2, blocks: Vec::new(), windows: Vec::new() }).unwrap();
+    store.commit(id, &Commit { revision: 2, changed: 0.0, blocks: Vec::new(), windows: Vec::new() }).unwrap();
     store.delete(id).unwrap();
     let end = control.syncs.load(Ordering::SeqCst);
     assert!(end - start >= 4, "{} syncs", end - start);
@@ -170,7 +170,7 @@ fn after_a_failed_sync_writes_are_refused_and_reads_show_what_was_durable() {
     // The disk is back, but what it has of that commit is not known.
     control.fail.store(false, Ordering::SeqCst);
     let syncs = control.syncs.load(Ordering::SeqCst);
-    let later = Commit { revision: model.revision + 1, blocks: Vec::new(), windows: Vec::new() };
+    let later = Commit { revision: model.revision + 1, changed: 0.0, blocks: Vec::new(), windows: Vec::new() };
     assert!(matches!(store.commit(id, &later), Err(StoreError::FailStop(_))));
     assert!(matches!(store.commit(other, &later), Err(StoreError::FailStop(_))));
     assert!(matches!(store.create(&name("new"), &config(8, 10, 1), 0.0), Err(StoreError::FailStop(_))));

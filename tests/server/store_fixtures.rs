@@ -56,7 +56,7 @@ fn contents(depth: u8, classes: u32) -> (LoadedMap, Commit) {
         windows.push((RobotName::new(robot).unwrap(), window));
     }
     let map = LoadedMap { revision: 3, tree, windows: windows.iter().cloned().collect() };
-    (map, Commit { revision: 3, blocks, windows })
+    (map, Commit { revision: 3, changed: 0.0, blocks, windows })
 }
 
 /// The version of map files, which is not the store's.

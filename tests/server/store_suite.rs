@@ -21,7 +21,7 @@ fn an_empty_store_lists_nothing() {
         assert!(matches!(store.load(MapId(1)), Err(StoreError::NoMap(MapId(1)))));
         assert!(matches!(store.delete(MapId(1)), Err(StoreError::NoMap(MapId(1)))));
         assert!(matches!(store.update_config(MapId(1), &config(8, 10, 1)), Err(StoreError::NoMap(_))));
-        let commit = Commit { revision: 1, blocks: Vec::new(), windows: Vec::new() };
+        let commit = Commit { revision: 1, changed: 0.0, blocks: Vec::new(), windows: Vec::new() };
         assert!(matches!(store.commit(MapId(1), &commit), Err(StoreError::NoMap(MapId(1)))));
     });
 }

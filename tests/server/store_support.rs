@@ -86,7 +86,12 @@ impl Model {
             windows.insert(robot, window.clone());
         }
         let blocks = changed.into_iter().map(|((x, y), view)| (BlockAddress { x, y }, view)).collect();
-        Commit { revision: self.revision, blocks, windows: windows.into_iter().collect() }
+        Commit {
+            revision: self.revision,
+            changed: 1.7e9 + self.revision as f64,
+            blocks,
+            windows: windows.into_iter().collect(),
+        }
     }
 
     fn mixed(&mut self, address: BlockAddress) -> BlockView {
