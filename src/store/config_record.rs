@@ -1,13 +1,14 @@
 //! A map's configuration, sensors, revision and windows as contents of records: the disk's types.
 //!
-//! Version 1 of every content. Fields are big-endian; floats are their IEEE 754 bits, so what is read is what was
+//! The newest version of every content, and what is read of older ones. Fields are big-endian; floats are their IEEE 754 bits, so what is read is what was
 //! written to the last bit. Everything read is checked by the constructors that check it at the interface.
 
 use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader, put_f64, put_name};
+use super::record::Record;
 use super::{MapName, SequenceWindow};
 use crate::mapping::{EvidenceRule, MapConfig};
-use crate::quadtree::{ClassScale, Grid};
+use crate::quadtree::{BlockView, ClassScale, Grid};
 use crate::sensor::{Mount, SensorModel, SensorSpec};
 use std::collections::BTreeMap;
 
@@ -144,7 +145,8 @@ pub(super) fn decode_sensor(reader: &mut Reader<'_>) -> Result<SensorModel, Malf
     SensorModel::new(spec).map_err(|error| Malformed(error.to_string()))
 }
 
-/// How many records of a map there are, so that a lost one is missed.
+/// How many records of a map there are, so that a lost one is missed; and from which revision on every change of a
+/// block is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Counts {
     /// Block records.
@@ -153,20 +155,92 @@ pub(super) struct Counts {
     pub(super) windows: u64,
     /// Sensor records.
     pub(super) sensors: u64,
+    /// Snapshot records.
+    pub(super) snapshots: u64,
+    /// Records of blocks and windows that are kept for snapshots.
+    pub(super) kept: u64,
+    /// Every block that changed after this revision has a record.
+    pub(super) complete_from: u64,
 }
 
 impl Counts {
     pub(super) fn encode(&self) -> Vec<u8> {
-        [self.blocks, self.windows, self.sensors].iter().flat_map(|count| count.to_be_bytes()).collect()
+        let Self { blocks, windows, sensors, snapshots, kept, complete_from } = self;
+        let fields = [blocks, windows, sensors, snapshots, kept, complete_from];
+        fields.iter().flat_map(|count| count.to_be_bytes()).collect()
+    }
+
+    /// The counts of a record, which also tells of its map's revision.
+    pub(super) fn decode(record: &Record<'_>) -> Result<Self, Malformed> {
+        let mut reader = Reader::new(record.content);
+        let mut counts = Self {
+            blocks: reader.u64("blocks")?,
+            windows: reader.u64("windows")?,
+            sensors: reader.u64("sensors")?,
+            complete_from: record.revision,
+            ..Self::default()
+        };
+        if record.version > 1 {
+            counts.snapshots = reader.u64("snapshots")?;
+            counts.kept = reader.u64("kept records")?;
+            counts.complete_from = reader.u64("complete from")?;
+        }
+        reader.end()?;
+        Ok(counts)
+    }
+}
+
+/// A snapshot's content; its revision is the frame's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct SnapshotRecord {
+    pub(super) created: f64,
+    /// Blocks that had a record then.
+    pub(super) blocks: u64,
+    /// Windows that had one.
+    pub(super) windows: u64,
+}
+
+impl SnapshotRecord {
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(24);
+        put_f64(&mut out, self.created);
+        out.extend_from_slice(&self.blocks.to_be_bytes());
+        out.extend_from_slice(&self.windows.to_be_bytes());
+        out
     }
 
     pub(super) fn decode(content: &[u8]) -> Result<Self, Malformed> {
         let mut reader = Reader::new(content);
-        let counts =
-            Self { blocks: reader.u64("blocks")?, windows: reader.u64("windows")?, sensors: reader.u64("sensors")? };
+        let (created, blocks, windows) = (reader.f64("created")?, reader.u64("blocks")?, reader.u64("windows")?);
         reader.end()?;
-        Ok(counts)
+        Ok(Self { created, blocks, windows })
     }
+}
+
+/// Appends a block's content: the time of its last change and its bits.
+pub(super) fn encode_block(
+    codec: &BlockCodec,
+    changed: f64,
+    view: &BlockView,
+    out: &mut Vec<u8>,
+) -> Result<(), Malformed> {
+    put_f64(out, changed);
+    codec.encode(view, out)
+}
+
+/// A block's content out of its bits.
+pub(super) fn timed(changed: f64, bits: &[u8]) -> Vec<u8> {
+    let mut out = Vec::with_capacity(8 + bits.len());
+    put_f64(&mut out, changed);
+    out.extend_from_slice(bits);
+    out
+}
+
+/// Takes a block and the time of its last change; 0 where the record's form has none.
+pub(super) fn decode_block(codec: &BlockCodec, record: &Record<'_>) -> Result<(f64, BlockView), Malformed> {
+    let mut reader = Reader::new(record.content);
+    let changed = if record.version > 1 { reader.f64("time of the last change")? } else { 0.0 };
+    Ok((changed, codec.decode(reader.rest())?))
 }
 
 /// Appends a window, 145 bytes: whether there is a highest number, it, how many were applied, the ring of bits.

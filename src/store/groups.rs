@@ -5,18 +5,18 @@
 //!
 //! A group: which of its 64 blocks have a record, and which of them are of mixed classes (u64 each; block `i` at bit `i`,
 //! `i` the low six bits of its Morton code); then for each block that has a record, in ascending order, its maximum class
-//! (u8) and the revision that wrote it (u64).
+//! (u8), the revision that wrote it (u64) and the time of that (f64; not in version 1 of the record).
 
 use super::block_codec::BlockCodec;
-use super::bytes::{Malformed, Reader};
+use super::bytes::{Malformed, Reader, put_f64};
 use super::checks::holds;
-use super::config_record::MapRecord;
+use super::config_record::{MapRecord, decode_block};
 use super::keys::{self, Kind};
-use super::record::{self, damaged};
+use super::record::{self, Record, damaged};
 use super::sled_catalogue::Entry;
 use super::sled_open::guarded;
 use super::sled_records::Records;
-use super::{MapId, StoreError, StoredMap};
+use super::{BlockStamp, MapId, StoreError, StoredMap};
 use crate::quadtree::{BlockAddress, BlockTag, BlockView, Class};
 use std::collections::BTreeMap;
 
@@ -27,10 +27,10 @@ const BITS: u32 = 6;
 const BATCH: usize = 1000;
 
 /// What is known of a block that has a record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Known {
-    /// The revision that wrote it.
-    pub(super) revision: u64,
+    /// The revision that wrote it, and when.
+    pub(super) stamp: BlockStamp,
     /// Its maximum class.
     pub(super) max: Class,
     /// Not of one class.
@@ -40,34 +40,34 @@ pub(super) struct Known {
 /// What a commit does to one block: what is known of it then, and whether it had a record before.
 pub(super) struct Noted {
     pub(super) address: BlockAddress,
-    pub(super) known: Option<Known>,
+    pub(super) known: Known,
     pub(super) before: bool,
 }
 
 impl Known {
     pub(super) fn tag(&self, address: BlockAddress) -> BlockTag {
-        BlockTag { address, revision: self.revision, max: self.max }
+        BlockTag { address, revision: self.stamp.revision, max: self.max }
     }
 
-    pub(super) fn of(view: &BlockView, revision: u64) -> Self {
+    pub(super) fn of(view: &BlockView, stamp: BlockStamp) -> Self {
         match view {
-            BlockView::Uniform(class) => Self { revision, max: *class, mixed: false },
-            BlockView::Mixed(block) => Self { revision, max: block.max_at(0, 0, 0), mixed: true },
+            BlockView::Uniform(class) => Self { stamp, max: *class, mixed: false },
+            BlockView::Mixed(block) => Self { stamp, max: block.max_at(0, 0, 0), mixed: true },
         }
     }
 
     /// A block whose record is damaged: it may hold anything, and reading it tells the damage.
     fn unreadable(highest: Class) -> Self {
-        Self { revision: 0, max: highest, mixed: true }
+        Self { stamp: BlockStamp::default(), max: highest, mixed: true }
     }
 }
 
 /// The blocks of one group that have a record, by the low bits of their Morton codes.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Group(BTreeMap<u8, Known>);
 
 /// The group of a block.
-fn group_of(address: BlockAddress) -> u64 {
+pub(super) fn group_of(address: BlockAddress) -> u64 {
     address.morton() >> BITS
 }
 
@@ -76,22 +76,23 @@ fn place(address: BlockAddress) -> u8 {
 }
 
 impl Group {
-    fn encode(&self) -> Vec<u8> {
+    pub(super) fn encode(&self) -> Vec<u8> {
         let bits = |chosen: &dyn Fn(&Known) -> bool| {
             self.0.iter().filter(|(_, known)| chosen(known)).fold(0_u64, |bits, (place, _)| bits | 1 << place)
         };
-        let mut out = Vec::with_capacity(16 + 9 * self.0.len());
+        let mut out = Vec::with_capacity(16 + 17 * self.0.len());
         out.extend_from_slice(&bits(&|_| true).to_be_bytes());
         out.extend_from_slice(&bits(&|known| known.mixed).to_be_bytes());
         for known in self.0.values() {
             out.push(known.max);
-            out.extend_from_slice(&known.revision.to_be_bytes());
+            out.extend_from_slice(&known.stamp.revision.to_be_bytes());
+            put_f64(&mut out, known.stamp.changed);
         }
         out
     }
 
-    fn decode(content: &[u8]) -> Result<Self, Malformed> {
-        let mut reader = Reader::new(content);
+    fn decode(record: &Record<'_>) -> Result<Self, Malformed> {
+        let mut reader = Reader::new(record.content);
         let (present, mixed) = (reader.u64("blocks")?, reader.u64("mixed blocks")?);
         if present == 0 || mixed & !present != 0 {
             return Err(Malformed::new("a group without blocks, or a mixed block that is none of the group's"));
@@ -100,34 +101,27 @@ impl Group {
         for place in (0..64_u8).filter(|place| present >> place & 1 == 1) {
             let max = reader.u8("maximum class")?;
             let revision = reader.u64("revision")?;
-            blocks.insert(place, Known { revision, max, mixed: mixed >> place & 1 == 1 });
+            let changed = if record.version > 1 { reader.f64("time of the last change")? } else { 0.0 };
+            let stamp = BlockStamp { revision, changed };
+            blocks.insert(place, Known { stamp, max, mixed: mixed >> place & 1 == 1 });
         }
         reader.end()?;
         Ok(Self(blocks))
-    }
-
-    fn is_empty(&self) -> bool {
-        self.0.is_empty()
     }
 
     fn has(&self, address: BlockAddress) -> bool {
         self.0.contains_key(&place(address))
     }
 
-    /// Notes a block's new record, or that it has none any more.
-    fn note(&mut self, address: BlockAddress, known: Option<Known>) {
-        match known {
-            Some(known) => self.0.insert(place(address), known),
-            None => self.0.remove(&place(address)),
-        };
+    /// Notes a block's new record.
+    pub(super) fn note(&mut self, address: BlockAddress, known: Known) {
+        self.0.insert(place(address), known);
     }
 
     /// The blocks of this group, which has this number.
-    fn tags(&self, number: u64) -> impl Iterator<Item = (BlockTag, bool)> + '_ {
-        self.0.iter().map(move |(place, known)| {
-            let address = BlockAddress::from_morton(number << BITS | u64::from(*place));
-            (known.tag(address), known.mixed)
-        })
+    fn blocks(&self, number: u64) -> impl Iterator<Item = (BlockAddress, Known)> + '_ {
+        let address = move |place: u8| BlockAddress::from_morton(number << BITS | u64::from(place));
+        self.0.iter().map(move |(place, known)| (address(*place), *known))
     }
 
     /// The group as its blocks' records tell it.
@@ -146,23 +140,24 @@ impl Group {
         let Some(address) = keys::block_of(key) else { return };
         let read = || {
             let record = record::open(key, Kind::Block, value).ok()?;
-            Some(Known::of(&codec.decode(record.content).ok()?, record.revision))
+            let (changed, view) = decode_block(codec, &record).ok()?;
+            Some(Known::of(&view, BlockStamp { revision: record.revision, changed }))
         };
-        self.note(address, Some(read().unwrap_or_else(|| Known::unreadable(codec.highest()))));
+        self.note(address, read().unwrap_or_else(|| Known::unreadable(codec.highest())));
     }
 }
 
-/// A group's key and content, `None` where it has no block any more.
-type GroupAfter = (Vec<u8>, Option<Vec<u8>>);
+/// A record before it is framed.
+type KeyAndContent = (Vec<u8>, Vec<u8>);
 
 impl Records {
-    /// The groups of a commit's blocks as they are after it.
+    /// Key and content of the groups of a commit's blocks as they are after it.
     pub(super) fn groups_after(
         &self,
         id: MapId,
         noted: &[Noted],
         codec: &BlockCodec,
-    ) -> Result<Vec<GroupAfter>, StoreError> {
+    ) -> Result<Vec<KeyAndContent>, StoreError> {
         let mut groups: BTreeMap<u64, Vec<&Noted>> = BTreeMap::new();
         for noted in noted {
             groups.entry(group_of(noted.address)).or_default().push(noted);
@@ -180,29 +175,42 @@ impl Records {
                 }
             };
             noted.iter().for_each(|noted| group.note(noted.address, noted.known));
-            Ok((key, (!group.is_empty()).then(|| group.encode())))
+            Ok((key, group.encode()))
         };
         groups.into_iter().map(after).collect()
     }
 
-    /// What a map's groups tell of its blocks: each with its tag and whether it is mixed. A group that cannot be right is
-    /// made anew from its blocks. The map must be held.
-    pub(super) fn read_groups(&self, entry: &Entry) -> Result<Vec<(BlockTag, bool)>, StoreError> {
+    /// What is known of a map's blocks, in Z-order: what its groups tell, or, where they do not tell of all, what the
+    /// blocks do. The map must be held.
+    pub(super) fn known_blocks(&self, entry: &Entry) -> Result<Vec<(BlockAddress, Known)>, StoreError> {
+        let known = self.read_groups(entry)?;
+        if known.len() as u64 == entry.counts.blocks {
+            return Ok(known);
+        }
+        tracing::warn!(
+            map = entry.stored.id.0,
+            "its groups of blocks do not tell of all blocks: each block is read instead"
+        );
+        self.read_blocks(entry, &mut |_, _| ())
+    }
+
+    /// What a map's groups tell of its blocks. A group that cannot be right is made anew from its blocks.
+    fn read_groups(&self, entry: &Entry) -> Result<Vec<(BlockAddress, Known)>, StoreError> {
         let StoredMap { id, config, revision, .. } = &entry.stored;
         let mut known = Vec::new();
         self.scan(&keys::of_map(Kind::Group, *id), &mut |key, value| {
             let Some(number) = keys::group_of(key) else { return Ok(()) };
-            let sound = |(tag, _): &(BlockTag, bool)| {
+            let sound = |(address, known): &(BlockAddress, Known)| {
                 let classes = 1..=config.scale().count();
-                holds(config.grid(), tag.address) && tag.revision <= *revision && classes.contains(&tag.max)
+                holds(config.grid(), *address) && known.stamp.revision <= *revision && classes.contains(&known.max)
             };
             match open_group(key, value) {
-                Ok(group) if group.tags(number).all(|tag| sound(&tag)) => known.extend(group.tags(number)),
+                Ok(group) if group.blocks(number).all(|block| sound(&block)) => known.extend(group.blocks(number)),
                 Err(newer @ StoreError::NewerFormat { .. }) => return Err(newer),
                 _ => {
                     tracing::warn!("{}: made anew from its blocks", keys::describe(key));
                     let group = Group::of_blocks(&self.db, *id, number, &entry.codec())?;
-                    known.extend(group.tags(number).filter(sound));
+                    known.extend(group.blocks(number).filter(sound));
                 }
             }
             Ok(())
@@ -214,7 +222,7 @@ impl Records {
     pub(super) fn check_groups(&self, entry: &Entry, blocks: &[(BlockAddress, Known)]) -> Result<(), StoreError> {
         let mut expected: BTreeMap<u64, Group> = BTreeMap::new();
         for (address, known) in blocks {
-            expected.entry(group_of(*address)).or_default().note(*address, Some(*known));
+            expected.entry(group_of(*address)).or_default().note(*address, *known);
         }
         self.scan(&keys::of_map(Kind::Group, entry.stored.id), &mut |key, value| {
             let group = open_group(key, value)?;
@@ -233,7 +241,7 @@ impl Records {
 /// A group's record, read.
 pub(super) fn open_group(key: &[u8], value: &[u8]) -> Result<Group, StoreError> {
     let record = record::open(key, Kind::Group, value)?;
-    Group::decode(record.content).map_err(|why| damaged(key, &why.to_string()))
+    Group::decode(&record).map_err(|why| damaged(key, &why.to_string()))
 }
 
 /// Version 1 to 2: the groups of every map, from its blocks. A map that cannot be read is passed over.

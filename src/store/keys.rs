@@ -30,10 +30,18 @@ pub(super) enum Kind {
     Block = 0x30,
     /// What is known of a group of blocks.
     Group = 0x31,
+    /// A snapshot.
+    Snapshot = 0x40,
+    /// A block's record that a commit replaced and a snapshot needs.
+    KeptBlock = 0x41,
+    /// A window's record that a commit replaced and a snapshot needs.
+    KeptWindow = 0x42,
+    /// A map with kept records that no snapshot needs any more.
+    Sweep = 0x43,
 }
 
 impl Kind {
-    const ALL: [Self; 11] = [
+    const ALL: [Self; 15] = [
         Self::Header,
         Self::NextMap,
         Self::LastWrite,
@@ -45,7 +53,19 @@ impl Kind {
         Self::Window,
         Self::Block,
         Self::Group,
+        Self::Snapshot,
+        Self::KeptBlock,
+        Self::KeptWindow,
+        Self::Sweep,
     ];
+
+    /// The version of the form in which records of this kind are written, and the newest that is read.
+    pub(super) fn version(self) -> u8 {
+        match self {
+            Self::State | Self::Block | Self::Group | Self::KeptBlock => 2,
+            _ => 1,
+        }
+    }
 
     /// The kind of a key or record byte.
     pub(super) fn from_byte(byte: u8) -> Option<Self> {
@@ -98,6 +118,40 @@ pub(super) fn group(id: MapId, number: u64) -> Vec<u8> {
     key
 }
 
+/// Key of a block's record that the commit of a revision replaced.
+pub(super) fn kept_block(id: MapId, address: BlockAddress, replaced: u64) -> Vec<u8> {
+    let mut key = of_map(Kind::KeptBlock, id);
+    key.extend_from_slice(&address.morton().to_be_bytes());
+    key.extend_from_slice(&replaced.to_be_bytes());
+    key
+}
+
+/// Key of a window's record that the commit of a revision replaced. No name has the byte between.
+pub(super) fn kept_window(id: MapId, robot: &str, replaced: u64) -> Vec<u8> {
+    let mut key = named(Kind::KeptWindow, id, robot);
+    key.push(0);
+    key.extend_from_slice(&replaced.to_be_bytes());
+    key
+}
+
+/// The revision that replaced a kept record.
+pub(super) fn replaced_of(key: &[u8]) -> Option<u64> {
+    let at = key.len().checked_sub(8).filter(|at| *at > 5)?;
+    key[at..].try_into().ok().map(u64::from_be_bytes)
+}
+
+/// The block of a kept block's key.
+pub(super) fn kept_block_of(key: &[u8]) -> Option<BlockAddress> {
+    let code = tail(key).get(..8).filter(|_| tail(key).len() == 16)?;
+    code.try_into().ok().map(|code| BlockAddress::from_morton(u64::from_be_bytes(code)))
+}
+
+/// The robot of a kept window's key.
+pub(super) fn kept_robot_of(key: &[u8]) -> Option<&str> {
+    let name = tail(key).get(..tail(key).len().checked_sub(9)?)?;
+    std::str::from_utf8(name).ok()
+}
+
 /// The number of a group's key.
 pub(super) fn group_of(key: &[u8]) -> Option<u64> {
     tail(key).try_into().ok().map(u64::from_be_bytes)
@@ -139,6 +193,20 @@ pub(super) fn describe(key: &[u8]) -> String {
         Some(Kind::Group) => match group_of(key) {
             Some(number) => of_map(&format!("group of blocks {number}")),
             None => of_map(&format!("group of blocks with a wrong key {}", hexadecimal(key))),
+        },
+        Some(Kind::Snapshot) => of_map(&format!("snapshot {:?}", text())),
+        Some(Kind::Sweep) => of_map("its mark of what snapshots no longer need"),
+        Some(Kind::KeptBlock) => match (kept_block_of(key), replaced_of(key)) {
+            (Some(address), Some(replaced)) => {
+                of_map(&format!("block ({}, {}) as kept from before revision {replaced}", address.x, address.y))
+            }
+            _ => of_map(&format!("kept block with a wrong key {}", hexadecimal(key))),
+        },
+        Some(Kind::KeptWindow) => match (kept_robot_of(key), replaced_of(key)) {
+            (Some(robot), Some(replaced)) => {
+                of_map(&format!("sequence window of robot {robot:?} as kept from before revision {replaced}"))
+            }
+            _ => of_map(&format!("kept window with a wrong key {}", hexadecimal(key))),
         },
         Some(Kind::Block) => match block_of(key) {
             Some(address) => of_map(&format!("block ({}, {})", address.x, address.y)),

@@ -257,7 +257,7 @@ impl MapStore for MemoryStore {
         let robots: BTreeSet<_> = kept.loaded.windows.keys().chain(snapshot.windows.keys()).collect();
         let window =
             |windows: &BTreeMap<_, SequenceWindow>, robot: &RobotName| windows.get(robot).cloned().unwrap_or_default();
-        let changed = |robot: &&RobotName| window(&kept.loaded.windows, *robot) != window(&snapshot.windows, *robot);
+        let changed = |robot: &&RobotName| window(&kept.loaded.windows, robot) != window(&snapshot.windows, robot);
         let windows = robots.into_iter().filter(changed);
         let windows = windows.map(|robot| (robot.clone(), window(&snapshot.windows, robot))).collect();
         Ok(Difference { revision: snapshot.revision, blocks: blocks.collect(), windows })

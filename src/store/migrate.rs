@@ -3,10 +3,10 @@
 //! Each step has a page in `migrations/`, `NNNN-title.md`, and a fixture written by the version before it that a test
 //! opens for ever.
 
-use super::{StoreError, groups};
+use super::{StoreError, groups, migrate_times};
 
 /// The format version that this program writes, and the newest that it reads.
-pub const STORE_FORMAT: u32 = 2;
+pub const STORE_FORMAT: u32 = 3;
 
 /// One step: from version `from` to `from + 1`. It must be repeatable: a crash in its middle leaves the old version in
 /// the header, and the step runs again from its beginning.
@@ -16,7 +16,7 @@ struct Step {
 }
 
 /// All steps, in order.
-const STEPS: [Step; 1] = [Step { from: 1, run: groups::write_groups }];
+const STEPS: [Step; 2] = [Step { from: 1, run: groups::write_groups }, Step { from: 2, run: migrate_times::add_times }];
 
 /// Brings a store of version `found` to [`STORE_FORMAT`] and returns whether anything was done; the caller writes the
 /// new version into the header, durably, after each step that `between` is told of.

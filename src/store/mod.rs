@@ -15,11 +15,15 @@ mod map_file;
 mod mark;
 mod memory_store;
 mod migrate;
+mod migrate_times;
 mod names;
 mod record;
 mod sled_catalogue;
+mod sled_commit;
+mod sled_import;
 mod sled_open;
 mod sled_records;
+mod sled_snapshots;
 mod sled_store;
 mod stamps;
 mod window;
@@ -28,6 +32,8 @@ mod window;
 mod block_codec_tests;
 #[cfg(test)]
 mod durability_tests;
+#[cfg(test)]
+mod migrate_tests;
 #[cfg(test)]
 mod record_tests;
 

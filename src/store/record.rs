@@ -2,7 +2,7 @@
 //!
 //! | bytes | what |
 //! | --- | --- |
-//! | 0 | version of the record's form |
+//! | 0 | version of the form of records of this kind |
 //! | 1 | kind, the same as the first byte of the key |
 //! | 2..10 | the map's revision when the record was written; 0 where there is none |
 //! | 10..14 | length `n` of the content |
@@ -15,9 +15,6 @@
 use super::StoreError;
 use super::keys::{self, Kind};
 
-/// The version of records that this program writes, and the newest that it reads.
-pub(super) const RECORD_VERSION: u8 = 1;
-
 /// Bytes before the content.
 const HEAD: usize = 14;
 
@@ -27,6 +24,8 @@ const TAIL: usize = 4;
 /// A record whose frame is right.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Record<'a> {
+    /// The version of its form.
+    pub(super) version: u8,
     /// The map's revision when it was written.
     pub(super) revision: u64,
     /// Its content.
@@ -42,8 +41,9 @@ fn checksum(key: &[u8], framed: &[u8]) -> u32 {
 pub(super) fn seal(key: &[u8], revision: u64, content: &[u8]) -> Vec<u8> {
     debug_assert!(u32::try_from(content.len()).is_ok(), "contents are a few kilobytes");
     let mut value = Vec::with_capacity(HEAD + content.len() + TAIL);
-    value.push(RECORD_VERSION);
-    value.push(key.first().copied().unwrap_or_default());
+    let kind = key.first().copied().unwrap_or_default();
+    value.push(Kind::from_byte(kind).map_or(1, Kind::version));
+    value.push(kind);
     value.extend_from_slice(&revision.to_be_bytes());
     value.extend_from_slice(&u32::try_from(content.len()).unwrap_or(u32::MAX).to_be_bytes());
     value.extend_from_slice(content);
@@ -65,11 +65,11 @@ pub(super) fn open<'a>(key: &[u8], kind: Kind, value: &'a [u8]) -> Result<Record
     if checksum(key, framed).to_be_bytes() != sum {
         return Err(damaged("wrong checksum"));
     }
-    if framed[0] > RECORD_VERSION {
+    if framed[0] > kind.version() {
         return Err(StoreError::NewerFormat {
             what: keys::describe(key),
             found: u32::from(framed[0]),
-            supported: u32::from(RECORD_VERSION),
+            supported: u32::from(kind.version()),
         });
     }
     if framed[0] == 0 {
@@ -86,7 +86,7 @@ pub(super) fn open<'a>(key: &[u8], kind: Kind, value: &'a [u8]) -> Result<Record
     if usize::try_from(u32::from_be_bytes(length)) != Ok(content.len()) {
         return Err(damaged("wrong length"));
     }
-    Ok(Record { revision: u64::from_be_bytes(revision), content })
+    Ok(Record { version: framed[0], revision: u64::from_be_bytes(revision), content })
 }
 
 /// The error for a record, named by its key.

@@ -2,12 +2,14 @@
 
 use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader};
-use super::config_record::{Counts, MapRecord, decode_sensor, decode_window};
+use super::config_record::{Counts, MapRecord, SnapshotRecord, decode_block, decode_sensor, decode_window};
 use super::groups::open_group;
 use super::keys::{self, Kind};
 use super::record::{self, Record, damaged};
 use super::sled_open::{Database, guarded};
-use super::{DamagedMap, MapId, MapName, RobotName, StoreError, StoredMap};
+use super::{
+    DamagedMap, MapId, MapName, RobotName, SequenceWindow, SnapshotName, StoreError, StoredMap, StoredSnapshot,
+};
 use crate::mapping::is_name;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -17,11 +19,30 @@ use std::sync::{Arc, Mutex};
 pub(super) struct Entry {
     pub(super) stored: StoredMap,
     pub(super) counts: Counts,
+    /// By name.
+    pub(super) snapshots: Arc<BTreeMap<SnapshotName, Snapshot>>,
     /// Held by whoever reads or changes the map's records.
     pub(super) busy: Arc<Mutex<()>>,
 }
 
+/// A snapshot whose record is sound.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Snapshot {
+    pub(super) stored: StoredSnapshot,
+    pub(super) record: SnapshotRecord,
+}
+
 impl Entry {
+    /// A map that was just made.
+    pub(super) fn new(stored: StoredMap, counts: Counts) -> Self {
+        Self { stored, counts, snapshots: Arc::default(), busy: Arc::default() }
+    }
+
+    /// The revision of the last snapshot: what was written up to it must be kept when it is replaced.
+    pub(super) fn newest_snapshot(&self) -> Option<u64> {
+        self.snapshots.values().map(|snapshot| snapshot.stored.revision).max()
+    }
+
     /// How the map's blocks are written.
     pub(super) fn codec(&self) -> BlockCodec {
         BlockCodec::new(self.stored.config.grid().depth(), self.stored.config.scale())
@@ -115,7 +136,7 @@ fn read_entry(db: &Database, key: &[u8], value: &[u8], found: &mut DamagedMap) -
     }
     let (state_key, value) = get(Kind::State)?;
     let state = record::open(&state_key, Kind::State, &value)?;
-    let counts = Counts::decode(state.content).map_err(|why| damaged(&state_key, &why.to_string()))?;
+    let counts = Counts::decode(&state).map_err(|why| damaged(&state_key, &why.to_string()))?;
 
     let mut sensors = BTreeMap::new();
     let prefix = keys::of_map(Kind::Sensor, id);
@@ -129,7 +150,33 @@ fn read_entry(db: &Database, key: &[u8], value: &[u8], found: &mut DamagedMap) -
     }
     let config = map.fixed.with_sensors(sensors).map_err(|why| damaged(&key, &why.to_string()))?;
     let stored = StoredMap { id, name, config, revision: state.revision, created: map.created };
-    Ok(Entry { stored, counts, busy: Arc::default() })
+    let snapshots = read_snapshots(db, &stored)?;
+    Ok(Entry { snapshots: Arc::new(snapshots), ..Entry::new(stored, counts) })
+}
+
+/// The snapshots of a map. One that is damaged is left out, and does not keep the map from being served.
+fn read_snapshots(db: &Database, map: &StoredMap) -> Result<BTreeMap<SnapshotName, Snapshot>, StoreError> {
+    let mut snapshots = BTreeMap::new();
+    let mut records = db.scan_prefix(keys::of_map(Kind::Snapshot, map.id));
+    while let Some((key, value)) = guarded("reading snapshots", || records.next().transpose())? {
+        match read_snapshot(&key, &value, map.revision) {
+            Ok(snapshot) => {
+                snapshots.insert(snapshot.stored.name.clone(), snapshot);
+            }
+            Err(newer @ StoreError::NewerFormat { .. }) => return Err(newer),
+            Err(error) => tracing::error!(map = map.name.as_str(), "snapshot left out, it cannot be read: {error}"),
+        }
+    }
+    Ok(snapshots)
+}
+
+fn read_snapshot(key: &[u8], value: &[u8], revision: u64) -> Result<Snapshot, StoreError> {
+    let name = std::str::from_utf8(keys::tail(key)).ok().and_then(|name| SnapshotName::new(name).ok());
+    let name = name.ok_or_else(|| damaged(key, "not a snapshot's name"))?;
+    let framed = record::open(key, Kind::Snapshot, value)?;
+    not_later(key, &framed, revision)?;
+    let record = SnapshotRecord::decode(framed.content).map_err(|why| damaged(key, &why.to_string()))?;
+    Ok(Snapshot { stored: StoredSnapshot { name, revision: framed.revision, created: record.created }, record })
 }
 
 fn read_sensor(key: &[u8], value: &[u8]) -> Result<(String, crate::sensor::SensorModel), StoreError> {
@@ -153,18 +200,31 @@ pub(super) fn not_later(key: &[u8], record: &Record<'_>, revision: u64) -> Resul
 }
 
 /// A robot's window out of its record.
-pub(super) fn read_window(
-    key: &[u8],
-    value: &[u8],
-    revision: u64,
-) -> Result<(RobotName, super::SequenceWindow), StoreError> {
+pub(super) fn read_window(key: &[u8], value: &[u8], revision: u64) -> Result<(RobotName, StoredWindow), StoreError> {
     let name = std::str::from_utf8(keys::tail(key)).ok().and_then(|name| RobotName::new(name).ok());
     let name = name.ok_or_else(|| damaged(key, "not a robot's name"))?;
-    let record = record::open(key, Kind::Window, value)?;
-    not_later(key, &record, revision)?;
+    let window = open_window(key, Kind::Window, value)?;
+    if window.revision > revision {
+        return Err(damaged(key, &format!("of revision {}, but the map's is {revision}", window.revision)));
+    }
+    Ok((name, window))
+}
+
+/// A window as its record tells it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct StoredWindow {
+    /// The revision that wrote it.
+    pub(super) revision: u64,
+    pub(super) window: SequenceWindow,
+}
+
+/// A window out of its record, or of one that is kept.
+pub(super) fn open_window(key: &[u8], kind: Kind, value: &[u8]) -> Result<StoredWindow, StoreError> {
+    let record = record::open(key, kind, value)?;
     let mut reader = Reader::new(record.content);
     let window = decode_window(&mut reader).and_then(|window| reader.end().map(|()| window));
-    Ok((name, window.map_err(|why| damaged(key, &why.to_string()))?))
+    let window = window.map_err(|why| damaged(key, &why.to_string()))?;
+    Ok(StoredWindow { revision: record.revision, window })
 }
 
 /// What a check of every record found.
@@ -190,13 +250,20 @@ pub(super) fn check_record(key: &[u8], value: &[u8], codec: Option<&BlockCodec>)
         Kind::Name => name_of(key).and_then(|_| content(key, kind, value, number)).map(|_| ()),
         Kind::Map => content(key, kind, value, MapRecord::decode).map(|_| ()),
         Kind::Sensor => read_sensor(key, value).map(|_| ()),
-        Kind::State => content(key, kind, value, Counts::decode).map(|_| ()),
+        Kind::State => {
+            let record = record::open(key, kind, value)?;
+            Counts::decode(&record).map(|_| ()).map_err(|why| damaged(key, &why.to_string()))
+        }
+        Kind::Snapshot => read_snapshot(key, value, u64::MAX).map(|_| ()),
+        Kind::Sweep => content(key, kind, value, |_| Ok(())),
+        Kind::KeptWindow => open_window(key, kind, value).map(|_| ()),
         Kind::Tombstone => content(key, kind, value, |_| Ok(())),
         Kind::Window => read_window(key, value, u64::MAX).map(|_| ()),
         Kind::Group => open_group(key, value).map(|_| ()),
-        Kind::Block => match codec {
-            Some(codec) => content(key, kind, value, |bits| codec.decode(bits)).map(|_| ()),
-            None => record::open(key, kind, value).map(|_| ()),
-        },
+        Kind::Block | Kind::KeptBlock => {
+            let record = record::open(key, kind, value)?;
+            let decoded = codec.map_or(Ok(()), |codec| decode_block(codec, &record).map(|_| ()));
+            decoded.map_err(|why| damaged(key, &why.to_string()))
+        }
     }
 }

@@ -2,12 +2,13 @@
 
 use super::block_codec::BlockCodec;
 use super::checks::holds;
+use super::config_record::decode_block;
 use super::groups::Known;
 use super::keys::{self, Kind};
 use super::record::{self, damaged};
 use super::sled_catalogue::{Entry, not_later, read_window};
 use super::sled_open::{Database, guarded};
-use super::{MapId, RobotName, SequenceWindow, StoreError, lock};
+use super::{BlockStamp, MapId, RobotName, SequenceWindow, StoreError, lock};
 use crate::quadtree::{Block, BlockAddress, BlockSource, BlockTag, BlockView, SourceError};
 use sled::IVec;
 use std::collections::BTreeMap;
@@ -67,8 +68,8 @@ impl Records {
             let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
             let record = record::open(key, Kind::Block, value)?;
             not_later(key, &record, stored.revision)?;
-            let view = codec.decode(record.content).map_err(|why| damaged(key, &why.to_string()))?;
-            let known = Known::of(&view, record.revision);
+            let (changed, view) = decode_block(&codec, &record).map_err(|why| damaged(key, &why.to_string()))?;
+            let known = Known::of(&view, BlockStamp { revision: record.revision, changed });
             visit(known.tag(address), view);
             blocks.push((address, known));
             Ok(())
@@ -85,8 +86,8 @@ impl Records {
         let (stored, counts) = (&entry.stored, &entry.counts);
         let mut windows = BTreeMap::new();
         self.scan(&keys::of_map(Kind::Window, stored.id), &mut |key, value| {
-            let (robot, window) = read_window(key, value, stored.revision)?;
-            windows.insert(robot, window);
+            let (robot, read) = read_window(key, value, stored.revision)?;
+            windows.insert(robot, read.window);
             Ok(())
         })?;
         for (what, found, expected) in
@@ -120,7 +121,7 @@ impl BlockSource for Blocks {
             let why = format!("of revision {}, expected that of revision {}", record.revision, tag.revision);
             return Err(damaged(&key, &why).into());
         }
-        match self.codec.decode(record.content).map_err(|why| damaged(&key, &why.to_string()))? {
+        match decode_block(&self.codec, &record).map_err(|why| damaged(&key, &why.to_string()))?.1 {
             BlockView::Mixed(block) if block.max_at(0, 0, 0) == tag.max => Ok(block),
             _ => Err(damaged(&key, "another block than the map's").into()),
         }

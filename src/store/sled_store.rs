@@ -5,9 +5,8 @@
 
 use super::block_codec::BlockCodec;
 use super::checks::check_commit;
-use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor, encode_window};
+use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor};
 use super::durability::{Durability, Syncer, Ticket};
-use super::groups::{Known, Noted};
 use super::keys::{self, Kind};
 use super::record;
 use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
@@ -18,7 +17,7 @@ use super::{
     StoreError, StoredMap, StoredSnapshot, lock,
 };
 use crate::mapping::MapConfig;
-use crate::quadtree::{BlockCache, BlockPager, BlockView, OccupancyTree, PagedTree};
+use crate::quadtree::{BlockCache, BlockPager, OccupancyTree, PagedTree};
 use sled::IVec;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -28,20 +27,32 @@ const PURGE_BATCH: usize = 1000;
 
 /// A store in a directory. One process may have it open at a time.
 pub struct SledStore {
-    records: Arc<Records>,
+    pub(super) records: Arc<Records>,
     durability: Durability,
-    catalogue: Mutex<Catalogue>,
+    pub(super) catalogue: Mutex<Catalogue>,
     /// The number of the next map; held while maps are created and deleted.
-    next_map: Mutex<u32>,
+    pub(super) next_map: Mutex<u32>,
     /// The number of the last write; held while a batch is applied, so that numbers are in the order of the log.
     last_write: Mutex<u64>,
 }
 
+/// What belongs to a map beside the records that its tombstone replaces.
+const PURGED: [Kind; 8] = [
+    Kind::Block,
+    Kind::Group,
+    Kind::Window,
+    Kind::Sensor,
+    Kind::Snapshot,
+    Kind::KeptBlock,
+    Kind::KeptWindow,
+    Kind::Sweep,
+];
+
 /// One record to be written (or removed: `None`), and what was there before.
-struct Change {
-    key: Vec<u8>,
-    value: Option<Vec<u8>>,
-    before: Option<IVec>,
+pub(super) struct Change {
+    pub(super) key: Vec<u8>,
+    pub(super) value: Option<Vec<u8>>,
+    pub(super) before: Option<IVec>,
 }
 
 impl std::fmt::Debug for SledStore {
@@ -132,12 +143,21 @@ impl SledStore {
         let known = |problems: &[String], what: &str| problems.iter().any(|problem| what.contains(problem.as_str()));
         let of_maps = self.damaged().into_iter().map(|damaged| damaged.what);
         let of_contents = maps.iter().filter_map(|map| self.load(map.id).err().map(|error| error.to_string()));
-        for what in of_maps.chain(of_contents) {
+        let of_snapshots = maps.iter().flat_map(|map| self.snapshot_problems(map.id));
+        for what in of_maps.chain(of_contents).chain(of_snapshots) {
             if !known(&found.problems, &what) {
                 found.problems.push(what);
             }
         }
         Ok(found)
+    }
+
+    fn snapshot_problems(&self, id: MapId) -> Vec<String> {
+        let checked = self.busy(id).and_then(|busy| {
+            let _held = lock(&busy);
+            self.check_snapshots(&self.entry(id)?)
+        });
+        checked.unwrap_or_else(|error| vec![error.to_string()])
     }
 
     /// Bytes of the store's files.
@@ -148,16 +168,16 @@ impl SledStore {
         guarded("measuring the store", || self.records.db.size_on_disk())
     }
 
-    fn writable(&self) -> Result<(), StoreError> {
+    pub(super) fn writable(&self) -> Result<(), StoreError> {
         self.durability.failure().map_or(Ok(()), |reason| Err(StoreError::FailStop(reason)))
     }
 
     /// The map as it is, and its lock: to be taken, and the entry then read again.
-    fn busy(&self, id: MapId) -> Result<Arc<Mutex<()>>, StoreError> {
+    pub(super) fn busy(&self, id: MapId) -> Result<Arc<Mutex<()>>, StoreError> {
         self.entry(id).map(|entry| entry.busy)
     }
 
-    fn entry(&self, id: MapId) -> Result<Entry, StoreError> {
+    pub(super) fn entry(&self, id: MapId) -> Result<Entry, StoreError> {
         let catalogue = lock(&self.catalogue);
         if let Some(damage) = catalogue.damaged.iter().find(|damage| damage.id == Some(id)) {
             return Err(StoreError::Damaged { what: damage.what.clone() });
@@ -165,19 +185,28 @@ impl SledStore {
         catalogue.maps.get(&id).cloned().ok_or(StoreError::NoMap(id))
     }
 
-    fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
+    /// Refuses a name that a map has. Creation must be held.
+    pub(super) fn name_is_free(&self, name: &MapName) -> Result<(), StoreError> {
+        match lock(&self.catalogue).find(name) {
+            None => Ok(()),
+            Some(Ok(_)) => Err(StoreError::Exists(name.clone())),
+            Some(Err(damage)) => Err(StoreError::Damaged { what: damage.what.clone() }),
+        }
+    }
+
+    pub(super) fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
         let before = guarded("reading what is to be changed", || self.records.db.get(&key))?;
         Ok(Change { key, value, before })
     }
 
-    fn put(&self, key: Vec<u8>, revision: u64, content: &[u8]) -> Result<Change, StoreError> {
+    pub(super) fn put(&self, key: Vec<u8>, revision: u64, content: &[u8]) -> Result<Change, StoreError> {
         let value = record::seal(&key, revision, content);
         self.change(key, Some(value))
     }
 
     /// Writes all of the changes or none, and returns when they are durable. The records' map (or the catalogue) must
     /// be held. After an error reads show what was there before.
-    fn write(&self, changes: Vec<Change>) -> Result<(), StoreError> {
+    pub(super) fn write(&self, changes: Vec<Change>) -> Result<(), StoreError> {
         self.writable()?;
         let mut batch = sled::Batch::default();
         let mut before = Vec::with_capacity(changes.len());
@@ -212,48 +241,13 @@ impl SledStore {
         }
     }
 
-    /// The records of a checked commit, and the counts after it.
-    fn commit_changes(&self, entry: &Entry, commit: &Commit) -> Result<(Vec<Change>, Counts), StoreError> {
-        let StoredMap { id, config, .. } = &entry.stored;
-        let codec = BlockCodec::new(config.grid().depth(), config.scale());
-        let mut counts = entry.counts;
-        let mut changes = Vec::with_capacity(commit.blocks.len() + commit.windows.len() + 1);
-        let (mut content, mut noted) = (Vec::new(), Vec::with_capacity(commit.blocks.len()));
-        for (address, view) in &commit.blocks {
-            let key = keys::block(*id, *address);
-            // A block that is unknown throughout is one that is not there.
-            let change = if *view == BlockView::Uniform(config.scale().unknown()) {
-                self.change(key, None)?
-            } else {
-                content.clear();
-                codec.encode(view, &mut content).map_err(|why| StoreError::Refused(why.to_string()))?;
-                self.put(key, commit.revision, &content)?
-            };
-            counts.blocks += u64::from(change.value.is_some());
-            counts.blocks = counts.blocks.saturating_sub(u64::from(change.before.is_some()));
-            let known = change.value.is_some().then(|| Known::of(view, commit.revision));
-            noted.push(Noted { address: *address, known, before: change.before.is_some() });
-            changes.push(change);
-        }
-        for (key, content) in self.records.groups_after(*id, &noted, &codec)? {
-            changes.push(match content {
-                Some(content) => self.put(key, commit.revision, &content)?,
-                None => self.change(key, None)?,
-            });
-        }
-        for (robot, window) in &commit.windows {
-            content.clear();
-            encode_window(window, &mut content);
-            let change = self.put(keys::named(Kind::Window, *id, robot.as_str()), commit.revision, &content)?;
-            counts.windows += u64::from(change.before.is_none());
-            changes.push(change);
-        }
-        changes.push(self.put(keys::of_map(Kind::State, *id), commit.revision, &counts.encode())?);
-        Ok((changes, counts))
-    }
-
     /// The changes from one set of sensors to another.
-    fn sensor_changes(&self, id: MapId, old: Option<&MapConfig>, new: &MapConfig) -> Result<Vec<Change>, StoreError> {
+    pub(super) fn sensor_changes(
+        &self,
+        id: MapId,
+        old: Option<&MapConfig>,
+        new: &MapConfig,
+    ) -> Result<Vec<Change>, StoreError> {
         let key = |name: &String| keys::named(Kind::Sensor, id, name);
         let mut changes = Vec::new();
         for (name, sensor) in new.sensors() {
@@ -269,19 +263,31 @@ impl SledStore {
         Ok(changes)
     }
 
-    /// Clears away what is left of maps whose deletion was decided but not finished.
+    /// Clears away what is left of maps and snapshots whose deletion was decided but not finished.
     fn finish_deletions(&self) -> Result<(), StoreError> {
         let mut left = Vec::new();
         self.records.scan(&[Kind::Tombstone as u8], &mut |key, _| {
             left.extend(keys::map_of(key));
             Ok(())
         })?;
-        left.into_iter().try_for_each(|id| self.purge(id))
+        left.into_iter().try_for_each(|id| self.purge(id))?;
+        let mut marked = Vec::new();
+        self.records.scan(&[Kind::Sweep as u8], &mut |key, _| {
+            marked.extend(keys::map_of(key));
+            Ok(())
+        })?;
+        for id in marked {
+            // A map that cannot be read now keeps its mark.
+            if let Err(error) = self.sweep(id) {
+                tracing::warn!(map = id.0, "what its snapshots no longer need is left: {error}");
+            }
+        }
+        Ok(())
     }
 
     /// Removes the records of a map that has a tombstone, and the tombstone last.
-    fn purge(&self, id: MapId) -> Result<(), StoreError> {
-        for kind in [Kind::Block, Kind::Group, Kind::Window, Kind::Sensor] {
+    pub(super) fn purge(&self, id: MapId) -> Result<(), StoreError> {
+        for kind in PURGED {
             let prefix = keys::of_map(kind, id);
             loop {
                 let found: Vec<IVec> = guarded("reading what is to be removed", || {
@@ -308,11 +314,7 @@ impl MapStore for SledStore {
     fn create(&self, name: &MapName, config: &MapConfig, created: f64) -> Result<MapId, StoreError> {
         let mut next = lock(&self.next_map);
         self.writable()?;
-        match lock(&self.catalogue).find(name) {
-            None => {}
-            Some(Ok(_)) => return Err(StoreError::Exists(name.clone())),
-            Some(Err(damage)) => return Err(StoreError::Damaged { what: damage.what.clone() }),
-        }
+        self.name_is_free(name)?;
         let id = MapId(*next);
         let after = next.checked_add(1).ok_or_else(|| StoreError::Refused("no map numbers are left".to_owned()))?;
         let record = MapRecord { name: name.clone(), created, fixed: FixedConfig::of(config) };
@@ -325,7 +327,7 @@ impl MapStore for SledStore {
         self.write(changes)?;
         *next = after;
         let stored = StoredMap { id, name: name.clone(), config: config.clone(), revision: 0, created };
-        lock(&self.catalogue).maps.insert(id, Entry { stored, counts, busy: Arc::default() });
+        lock(&self.catalogue).maps.insert(id, Entry::new(stored, counts));
         Ok(id)
     }
 
@@ -393,21 +395,17 @@ impl MapStore for SledStore {
         let blocks = Blocks { records: Arc::clone(&self.records), id, codec };
         let pager = Arc::new(BlockPager::new(Box::new(blocks), Arc::clone(cache)));
         let mut tree = PagedTree::new(entry.stored.config.grid().depth(), entry.stored.config.scale());
-        let mut known = self.records.read_groups(&entry)?;
-        if known.len() as u64 != entry.counts.blocks {
-            tracing::warn!(map = id.0, "its groups of blocks do not tell of all blocks: each block is read instead");
-            let blocks = self.records.read_blocks(&entry, &mut |_, _| ())?;
-            known = blocks.into_iter().map(|(address, known)| (known.tag(address), known.mixed)).collect();
-        }
+        let known = self.records.known_blocks(&entry)?;
         let windows = self.records.read_windows(&entry, known.len() as u64)?;
-        for (tag, mixed) in known {
-            if mixed {
-                tree.place_stored(tag, &pager);
+        let mut stamps = BlockStamps::new(entry.counts.complete_from);
+        for (address, known) in known {
+            stamps.set(address, known.stamp);
+            if known.mixed {
+                tree.place_stored(known.tag(address), &pager);
             } else {
-                tree.place_uniform(tag.address, tag.max);
+                tree.place_uniform(address, known.max);
             }
         }
-        let stamps = BlockStamps::new(entry.stored.revision);
         Ok(OpenMap { revision: entry.stored.revision, tree, pager: Some(pager), windows, stamps })
     }
 
@@ -424,6 +422,36 @@ impl MapStore for SledStore {
             entry.counts = counts;
         }
         Ok(())
+    }
+
+    fn import(
+        &self,
+        name: &MapName,
+        config: &MapConfig,
+        created: f64,
+        contents: &LoadedMap,
+    ) -> Result<MapId, StoreError> {
+        self.import_map(name, config, created, contents)
+    }
+
+    fn snapshots(&self, id: MapId) -> Result<Vec<StoredSnapshot>, StoreError> {
+        Ok(self.entry(id)?.snapshots.values().map(|snapshot| snapshot.stored.clone()).collect())
+    }
+
+    fn take_snapshot(&self, id: MapId, name: &SnapshotName, created: f64) -> Result<StoredSnapshot, StoreError> {
+        self.store_snapshot(id, name, created)
+    }
+
+    fn delete_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        self.remove_snapshot(id, name)
+    }
+
+    fn load_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<LoadedMap, StoreError> {
+        self.read_snapshot(id, name)
+    }
+
+    fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
+        self.difference_to(id, name)
     }
 
     fn failure(&self) -> Option<String> {

@@ -37,6 +37,7 @@ mod store_damage;
 mod store_durability;
 mod store_files;
 mod store_fixtures;
+mod store_model;
 mod store_names;
 mod store_paging;
 mod store_suite;

@@ -142,7 +142,8 @@ fn a_lost_moved_late_or_stray_record_is_seen() {
         (vec![(key.to_vec(), Some(plain(&key, 99)))], "of revision 99, but the map's is 8"),
         (vec![(outside.clone(), Some(plain(&outside, 1)))], "outside the map"),
         (vec![(key.to_vec(), Some(framed(&key, 1, 1, &[0b0101_0000])))], "class 11"),
-        (vec![(key.to_vec(), Some(framed(&key, 2, 1, &[0])))], "format version 2"),
+        (vec![(key.to_vec(), Some(framed(&key, 2, 1, &[0])))], "8 bytes wanted"),
+        (vec![(key.to_vec(), Some(framed(&key, 3, 1, &[0])))], "format version 3"),
         (vec![(key.to_vec(), Some(Vec::new()))], "0 bytes"),
     ] {
         let before: Vec<_> =

@@ -10,8 +10,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use ubbmap::quadtree::{BlockAddress, BlockCache, BlockView, ClassScale, OccupancyTree};
 use ubbmap::store::{
-    Commit, LoadedMap, MapStore, RobotName, STORE_FORMAT, SequenceWindow, SledOptions, SledStore, read_map_file,
-    write_map_file,
+    BlockStamp, Commit, LoadedMap, MapStore, RobotName, STORE_FORMAT, SequenceWindow, SledOptions, SledStore,
+    SnapshotName, read_map_file, write_map_file,
 };
 
 fn fixtures() -> PathBuf {
@@ -75,9 +75,14 @@ fn write_fixtures() {
     let gone = store.create(&name("gone"), &config(9, 10, 1), 1.0).unwrap();
     for (map, depth, classes, sensors) in MAPS {
         let id = store.create(&name(map), &config(u32::from(depth), classes, sensors), 1_732_233_600.25).unwrap();
-        store.commit(id, &contents(depth, classes).1).unwrap();
+        store.commit(id, &Commit { changed: 1_732_233_650.5, ..contents(depth, classes).1 }).unwrap();
     }
     store.delete(gone).unwrap();
+    let kept = store.create(&name(KEPT), &config(9, 40, 1), 1_732_233_600.25).unwrap();
+    for (commit, snapshot) in kept_commits().into_iter().zip(["first", "Second.one"]) {
+        store.commit(kept, &commit).unwrap();
+        store.take_snapshot(kept, &SnapshotName::new(snapshot).unwrap(), 1_732_233_800.5).unwrap();
+    }
     drop(store);
     // The last of sled's threads writes a moment longer.
     std::thread::sleep(std::time::Duration::from_millis(200));
@@ -99,6 +104,48 @@ fn write_fixtures() {
     }
 }
 
+/// A map with snapshots, from version 3 on.
+const KEPT: &str = "kept";
+
+/// Two commits of which the second replaces two blocks and a window.
+fn kept_commits() -> [Commit; 2] {
+    let (_, first) = contents(9, 40);
+    let mut window = first.windows[0].1.clone();
+    window.record(2001);
+    let second = Commit {
+        revision: 4,
+        changed: 1_732_233_700.75,
+        blocks: vec![
+            (first.blocks[0].0, BlockView::Uniform(ClassScale::new(40).unwrap().unknown())),
+            (first.blocks[1].0, BlockView::Uniform(1)),
+        ],
+        windows: vec![(first.windows[0].0.clone(), window)],
+    };
+    [Commit { changed: 1_732_233_650.5, ..first }, second]
+}
+
+fn has_snapshots(store: &SledStore) {
+    let id = store.list().unwrap().iter().find(|stored| stored.name == name(KEPT)).unwrap().id;
+    let [first, second] = kept_commits();
+    let mut expected = contents(9, 40).0;
+    let named = |name| SnapshotName::new(name).unwrap();
+    assert_same(&store.load_snapshot(id, &named("first")).unwrap(), &expected);
+    for (address, view) in &second.blocks {
+        expected.tree.set_block(*address, view.clone());
+    }
+    expected.windows.extend(second.windows.iter().cloned());
+    expected.revision = 4;
+    assert_same(&store.load_snapshot(id, &named("Second.one")).unwrap(), &expected);
+    assert_same(&store.load(id).unwrap(), &expected);
+    let snapshots = store.snapshots(id).unwrap();
+    let told: Vec<_> = snapshots.iter().map(|s| (s.name.as_str(), s.revision, s.created)).collect();
+    assert_eq!(told, [("Second.one", 4, 1_732_233_800.5), ("first", 3, 1_732_233_800.5)]);
+    let stamps = store.open(id, &std::sync::Arc::new(BlockCache::new(1))).unwrap().stamps;
+    assert_eq!(stamps.get(first.blocks[0].0), Some(BlockStamp { revision: 4, changed: second.changed }));
+    assert_eq!(stamps.get(first.blocks[2].0), Some(BlockStamp { revision: 3, changed: first.changed }));
+    store.delete_snapshot(id, &named("first")).unwrap();
+}
+
 fn unpacked(fixture: &str) -> tempfile::TempDir {
     let directory = tempfile::tempdir().unwrap();
     for file in fs::read_dir(fixtures().join(fixture)).unwrap().map(|entry| entry.unwrap().path()) {
@@ -113,16 +160,20 @@ fn unpacked(fixture: &str) -> tempfile::TempDir {
 #[test]
 fn a_store_of_every_version_opens() {
     for version in 1..=STORE_FORMAT {
-        opens(&format!("store-v{version}"));
+        opens(version);
     }
 }
 
-fn opens(fixture: &str) {
-    let directory = unpacked(fixture);
+fn opens(version: u32) {
+    let directory = unpacked(&format!("store-v{version}"));
     let store = SledStore::open(directory.path(), SledOptions::default()).unwrap();
     assert_eq!(store.verify().unwrap().problems, Vec::<String>::new());
     let maps = store.list().unwrap();
-    assert_eq!(maps.len(), MAPS.len());
+    let with_snapshots = version >= 3;
+    assert_eq!(maps.len(), MAPS.len() + usize::from(with_snapshots));
+    if with_snapshots {
+        has_snapshots(&store);
+    }
     for (map, depth, classes, sensors) in MAPS {
         let stored = maps.iter().find(|stored| stored.name == name(map)).unwrap();
         assert_eq!(stored.config, config(u32::from(depth), classes, sensors));
@@ -131,10 +182,14 @@ fn opens(fixture: &str) {
         let cache = std::sync::Arc::new(BlockCache::new(1));
         let open = store.open(stored.id, &cache).unwrap();
         assert_eq!(open.tree.try_whole().unwrap(), contents(depth, classes).0.tree);
+        // Before version 3 no times were kept, and a block that became unknown lost its record.
+        let newest = open.stamps.newest().unwrap();
+        assert_eq!((newest.revision, newest.changed), (3, if version >= 3 { 1_732_233_650.5 } else { 0.0 }));
+        assert_eq!(open.stamps.complete_from(), if version >= 3 { 0 } else { 3 });
     }
     // It is written to as well, and the number of the deleted map is not used again.
     let new = store.create(&name("gone"), &config(9, 10, 1), 1.0).unwrap();
-    assert_eq!(new.0, 6);
+    assert_eq!(new.0, if with_snapshots { 7 } else { 6 });
     let mut model = Model::new(config(9, 10, 1), 1);
     store.commit(new, &model.step(4)).unwrap();
     assert_same(&store.load(new).unwrap(), &model.loaded());
