@@ -119,6 +119,10 @@ fn a_rewritten_store_is_smaller_and_holds_the_same() {
     assert_eq!(databases(directory.path()), ["sled-2"]);
     assert_same(&store.load(kept).unwrap(), &model.loaded());
     store.commit(kept, &model.step(5)).unwrap();
+    // What is acknowledged is in the new database's files, not only in memory.
+    let copy = tempfile::tempdir().unwrap();
+    copy_directory(directory.path(), copy.path());
+    assert_same(&open(copy.path()).load(kept).unwrap(), &model.loaded());
     drop(store);
     for generation in 3..=4 {
         let store = open(directory.path());
@@ -157,6 +161,63 @@ fn a_rewrite_that_is_given_up_at_any_step_leaves_the_old_database_in_use() {
     }
     drop(store);
     assert_same(&open(directory.path()).load(id).unwrap(), &model.loaded());
+}
+
+#[test]
+fn a_copy_that_is_not_the_same_never_becomes_the_store() {
+    let directory = tempfile::tempdir().unwrap();
+    let store = open(directory.path());
+    let (id, mut model) = wide(&store);
+    let key = |x, y| [&[0x30][..], &id.0.to_be_bytes(), &BlockAddress { x, y }.morton().to_be_bytes()].concat();
+    type Edit<'a> = &'a dyn Fn(&sled::Db);
+    let edits: [(Edit<'_>, &str); 4] = [
+        (&|db| drop(db.remove(key(3, 4)).unwrap().unwrap()), "block (3, 4)"),
+        (&|db| drop(db.insert(key(5, 6), b"nonsense").unwrap().unwrap()), "block (5, 6)"),
+        (&|db| assert!(db.insert(key(60, 60), b"stray").unwrap().is_none()), "block (60, 60)"),
+        (&|db| assert!(db.insert([0xFF], b"stray").unwrap().is_none()), "unknown key ff"),
+    ];
+    for (edit, what) in edits {
+        let outcome = store.rewrite(&mut |step| {
+            if step == RewriteStep::Copied {
+                edited(&directory.path().join("sled-2"), edit);
+            }
+            Ok(())
+        });
+        let error = outcome.unwrap_err().to_string();
+        assert!(error.contains(what) && error.contains("not the same"), "{error}");
+        assert_eq!(databases(directory.path()), ["sled"]);
+        store.commit(id, &model.step(4)).unwrap();
+    }
+    assert_same(&store.load(id).unwrap(), &model.loaded());
+    // What is written again meanwhile is copied again, so a fault in it is gone.
+    store
+        .rewrite(&mut |step| {
+            if step == RewriteStep::Copied {
+                edited(&directory.path().join("sled-2"), &|db| drop(db.insert(key(0, 0), b"nonsense").unwrap()));
+                let blocks = vec![(BlockAddress { x: 0, y: 0 }, BlockView::Uniform(7))];
+                model.tree.set_block(BlockAddress { x: 0, y: 0 }, BlockView::Uniform(7));
+                model.revision += 1;
+                store.commit(id, &Commit { revision: model.revision, blocks, windows: Vec::new() }).unwrap();
+            }
+            Ok(())
+        })
+        .unwrap();
+    assert_same(&store.load(id).unwrap(), &model.loaded());
+}
+
+/// A database changed behind the store's back, while the store has it closed.
+fn edited(path: &Path, edit: &dyn Fn(&sled::Db)) {
+    let start = Instant::now();
+    let db = loop {
+        match sled::Config::new().path(path).flush_every_ms(None).open() {
+            Ok(db) => break db,
+            // sled's own threads let go of the file a little after it is dropped.
+            Err(_) if start.elapsed() < Duration::from_secs(10) => std::thread::sleep(Duration::from_millis(5)),
+            Err(error) => panic!("{error}"),
+        }
+    };
+    edit(&db);
+    db.flush().unwrap();
 }
 
 /// A sync that does as it is told, one for each database.

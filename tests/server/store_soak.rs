@@ -17,6 +17,8 @@ struct Writer {
     number: u64,
     kept: Vec<(MapId, MapId, Model)>,
     rounds: u64,
+    /// The longest commit since it was last asked for, microseconds.
+    longest: u64,
 }
 
 impl Writer {
@@ -28,14 +30,16 @@ impl Writer {
             let of_twin = twin.create(&name(&label), &map_config, 1.5e9).unwrap();
             (id, of_twin, Model::new(map_config, number * 1000 + n))
         };
-        Self { number, kept: (0..maps).map(make).collect(), rounds: 0 }
+        Self { number, kept: (0..maps).map(make).collect(), rounds: 0, longest: 0 }
     }
 
     /// A commit to every map, the same to the twin, and now and then a map that comes and goes; how many commits.
     fn round(&mut self, store: &SledStore, twin: &MemoryStore, shrink_every: u64) -> u64 {
         for (id, of_twin, model) in &mut self.kept {
             let commit = model.step(8);
+            let start = Instant::now();
             store.commit(*id, &commit).unwrap();
+            self.longest = self.longest.max(start.elapsed().as_micros() as u64);
             twin.commit(*of_twin, &commit).unwrap();
         }
         self.rounds += 1;
@@ -70,17 +74,18 @@ fn soak(
     options: SledOptions,
     maps: u64,
     enough: &(dyn Fn(u64, &StoreStatistics) -> bool + Sync),
-    told: &mut dyn FnMut(u64, u64, &StoreStatistics),
+    told: &mut dyn FnMut(u64, u64, &AtomicU64, &StoreStatistics),
 ) -> Soaked {
     let (store, twin) = (SledStore::open(directory, options).unwrap(), MemoryStore::new());
     let mut writers: Vec<_> = (0..WRITERS).map(|number| Writer::new(number, maps, &store, &twin)).collect();
-    let (commits, done) = (AtomicU64::new(0), AtomicBool::new(false));
+    let (commits, longest, done) = (AtomicU64::new(0), AtomicU64::new(0), AtomicBool::new(false));
     let mut highest_bytes = 0;
     std::thread::scope(|scope| {
         for writer in &mut writers {
             scope.spawn(|| {
                 while !done.load(Ordering::SeqCst) {
                     commits.fetch_add(writer.round(&store, &twin, 25), Ordering::SeqCst);
+                    longest.fetch_max(std::mem::take(&mut writer.longest), Ordering::SeqCst);
                 }
             });
         }
@@ -97,7 +102,7 @@ fn soak(
             std::thread::sleep(Duration::from_millis(10));
             highest_bytes = highest_bytes.max(store.disk_bytes().unwrap());
             let (commits, seen) = (commits.load(Ordering::SeqCst), store.statistics().unwrap());
-            told(commits, highest_bytes, &seen);
+            told(commits, highest_bytes, &longest, &seen);
             if enough(commits, &seen) {
                 break done.store(true, Ordering::SeqCst);
             }
@@ -121,8 +126,13 @@ fn a_store_that_is_rewritten_again_and_again_while_it_is_written_to_holds_what_i
     let directory = tempfile::tempdir().unwrap();
     let rewrite = RewriteOptions { factor: 4.0, least_bytes: 1 << 20, check: Duration::from_millis(5) };
     let options = SledOptions { rewrite, ..SledOptions::default() };
-    let soaked =
-        soak(directory.path(), options, 2, &|commits, seen| commits >= 3000 && seen.rewrites >= 5, &mut |_, _, _| ());
+    let soaked = soak(
+        directory.path(),
+        options,
+        2,
+        &|commits, seen| commits >= 3000 && seen.rewrites >= 5,
+        &mut |_, _, _, _| (),
+    );
     assert_eq!(soaked.last.failed_rewrites, 0);
     assert!(soaked.commits >= 3000 && soaked.last.rewrites >= 5);
     assert!(soaked.highest_bytes > soaked.last.disk_bytes);
@@ -146,17 +156,20 @@ fn long_soak() {
     let start = Instant::now();
     let mut next = every;
     let mut before = 0;
-    println!("| minute | commits | commits/s | held, MB | on disk, MB | factor | most on disk, MB | rewrites |");
-    println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
-    let mut told = |commits: u64, highest: u64, seen: &StoreStatistics| {
+    println!(
+        "| minute | commits | commits/s | longest, ms | held, MB | on disk, MB | factor | most on disk, MB | rewrites |"
+    );
+    println!("| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    let mut told = |commits: u64, highest: u64, longest: &AtomicU64, seen: &StoreStatistics| {
         if start.elapsed() < next {
             return;
         }
         let live = seen.live_bytes.unwrap_or(0) as f64;
         println!(
-            "| {:.1} | {commits} | {:.0} | {:.1} | {:.1} | {:.2} | {:.1} | {} |",
+            "| {:.1} | {commits} | {:.0} | {:.0} | {:.1} | {:.1} | {:.2} | {:.1} | {} |",
             start.elapsed().as_secs_f64() / 60.0,
             (commits - before) as f64 / every.as_secs_f64(),
+            longest.swap(0, Ordering::SeqCst) as f64 / 1e3,
             live / 1e6,
             seen.disk_bytes as f64 / 1e6,
             seen.disk_bytes as f64 / live,
