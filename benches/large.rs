@@ -178,8 +178,11 @@ struct Setting {
 
 impl Setting {
     fn open(&self, directory: &Path) -> (Arc<SledStore>, MapService) {
-        let store = SledStore::open(directory, SledOptions { cache_bytes: (argument("--page-mib", 4) << 20) as u64 })
-            .expect("the store opens");
+        let store = SledStore::open(
+            directory,
+            SledOptions { cache_bytes: (argument("--page-mib", 4) << 20) as u64, ..SledOptions::default() },
+        )
+        .expect("the store opens");
         let store = Arc::new(store);
         let service = MapService::open(Arc::clone(&store) as _, self.settings.clone()).expect("a service");
         (store, service)

@@ -204,7 +204,7 @@ async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {
         StoreKind::Sled => {
             let directory = config.data_dir.clone();
             // Opening reads and writes files, and a large store takes a while.
-            let options = SledOptions { cache_bytes: config.cache.page_bytes };
+            let options = SledOptions { cache_bytes: config.cache.page_bytes, rewrite: config.rewrite_options() };
             let opened = tokio::task::spawn_blocking(move || SledStore::open(&directory, options));
             Ok(Arc::new(opened.await.map_err(|_| AppError::StorePanicked)??))
         }

@@ -11,6 +11,7 @@ mod options;
 mod output;
 mod replay;
 mod serve;
+mod store;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use output::Failure;
@@ -36,6 +37,7 @@ enum Command {
     Replay(Box<replay::Replay>),
     Map(map::Map),
     Check(check::Check),
+    Store(store::Store),
     Experiment(Box<experiment::RunExperiment>),
 }
 
@@ -57,6 +59,7 @@ pub fn run() -> ExitCode {
         },
         Command::Map(map) => map.run(),
         Command::Check(check) => check.run(),
+        Command::Store(store) => store.run(),
         Command::Experiment(experiment) => experiment.run(),
     };
     match done {

@@ -21,6 +21,13 @@ const MOST_BYTES: usize = 1 << 40;
 /// Least bytes of a cache.
 const LEAST_CACHE: usize = 1 << 20;
 
+/// Least factor of the store's size: a database that was just rewritten takes up to 3 times what it holds, and one that is
+/// written to settles at 6.
+const LEAST_FACTOR: f64 = 4.0;
+
+/// Largest factor of the store's size.
+const MOST_FACTOR: f64 = 1e6;
+
 /// Most threads for evidence.
 const MOST_THREADS: usize = 1024;
 
@@ -85,6 +92,7 @@ impl Config {
                 return Err(bad(key, format!("must be above 0 and at most {most}, got {value}")));
             }
         }
+        self.check_rewrite()?;
         let grace = self.shutdown.grace_seconds;
         if !(0.0..=86_400.0).contains(&grace) {
             return Err(bad("shutdown.grace_seconds", format!("must be between 0 and 86400, got {grace}")));
@@ -101,6 +109,19 @@ impl Config {
 }
 
 impl Config {
+    fn check_rewrite(&self) -> Result<(), ConfigError> {
+        let rewrite = &self.rewrite;
+        if !(LEAST_FACTOR..=MOST_FACTOR).contains(&rewrite.factor) {
+            let problem = format!("must be between {LEAST_FACTOR} and {MOST_FACTOR}, got {}", rewrite.factor);
+            return Err(bad("rewrite.factor", problem));
+        }
+        if !(rewrite.check_seconds > 0.0 && rewrite.check_seconds <= 86_400.0) {
+            let problem = format!("must be above 0 and at most 86400, got {}", rewrite.check_seconds);
+            return Err(bad("rewrite.check_seconds", problem));
+        }
+        Ok(())
+    }
+
     fn check_counts(&self) -> Result<(), ConfigError> {
         let limits = &self.limits;
         let counts = [
@@ -130,12 +151,14 @@ impl Config {
         let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
         let blocks = (self.cache.block_bytes, LEAST_CACHE, MOST_BYTES);
         let pages = (usize::try_from(self.cache.page_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
+        let rewritten = (usize::try_from(self.rewrite.least_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
         let others = [
             ("limits.insert_bytes", bytes),
             ("writer.evidence_threads", threads),
             ("cache.block_bytes", blocks),
             ("cache.page_bytes", pages),
+            ("rewrite.least_bytes", rewritten),
         ];
         for (key, (value, least, most)) in ranges.chain(others) {
             if !(least..=most).contains(&value) {

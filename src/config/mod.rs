@@ -11,7 +11,7 @@ mod zenoh;
 use crate::mapping::RegionLimits;
 use crate::sensor::{PoseLimits, ScanLimits};
 use crate::service::ServiceSettings;
-use crate::store::SledOptions;
+use crate::store::{RewriteOptions, SledOptions};
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -60,6 +60,8 @@ pub struct Config {
     pub limits: Limits,
     /// Memory for maps.
     pub cache: Cache,
+    /// When the store is rewritten.
+    pub rewrite: Rewrite,
     /// One map's writer.
     pub writer: Writer,
     /// The transport over Zenoh.
@@ -126,6 +128,18 @@ pub struct Cache {
     pub page_bytes: u64,
 }
 
+/// When the store is rewritten, so that what it takes on disk stays in proportion to what it holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Rewrite {
+    /// So many times the bytes of what it holds.
+    pub factor: f64,
+    /// Never below so many bytes.
+    pub least_bytes: u64,
+    /// How often its size is looked at, seconds.
+    pub check_seconds: f64,
+}
+
 /// One map's writer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -159,6 +173,7 @@ impl Default for Config {
             log_format: LogFormat::Text,
             limits: Limits::default(),
             cache: Cache::default(),
+            rewrite: Rewrite::default(),
             writer: Writer::default(),
             zenoh: Zenoh::default(),
             shutdown: Shutdown::default(),
@@ -197,6 +212,13 @@ impl Default for Limits {
 impl Default for Cache {
     fn default() -> Self {
         Self { block_bytes: 1 << 30, page_bytes: SledOptions::default().cache_bytes }
+    }
+}
+
+impl Default for Rewrite {
+    fn default() -> Self {
+        let RewriteOptions { factor, least_bytes, check } = RewriteOptions::default();
+        Self { factor, least_bytes, check_seconds: check.as_secs_f64() }
     }
 }
 
@@ -239,6 +261,13 @@ impl Config {
             max_concurrent_queries: limits.queries,
             evidence_threads: self.writer.evidence_threads,
         }
+    }
+
+    /// When the store is rewritten.
+    #[must_use]
+    pub fn rewrite_options(&self) -> RewriteOptions {
+        let Rewrite { factor, least_bytes, check_seconds } = self.rewrite;
+        RewriteOptions { factor, least_bytes, check: seconds(check_seconds) }
     }
 
     /// How long requests under way may take to end.

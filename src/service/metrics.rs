@@ -1,6 +1,7 @@
 //! What the service counts and times. Without an installed recorder every call here does nothing.
 
 use crate::quadtree::CacheStatistics;
+use crate::store::StoreStatistics;
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
 use std::time::{Duration, Instant};
 
@@ -17,6 +18,9 @@ const CACHE_BYTES: &str = "ubbmap_cache_bytes";
 const CACHE_HITS: &str = "ubbmap_cache_hits_total";
 const CACHE_LOADS: &str = "ubbmap_cache_loads_total";
 const CACHE_EVICTIONS: &str = "ubbmap_cache_evictions_total";
+const STORE_DISK_BYTES: &str = "ubbmap_store_disk_bytes";
+const STORE_LIVE_BYTES: &str = "ubbmap_store_live_bytes";
+const STORE_REWRITES: &str = "ubbmap_store_rewrites_total";
 const WATCHERS: &str = "ubbmap_watchers";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
@@ -35,6 +39,9 @@ pub fn describe_metrics() {
     describe_counter!(CACHE_HITS, "Blocks looked into that were in memory");
     describe_counter!(CACHE_LOADS, "Blocks read from the store");
     describe_counter!(CACHE_EVICTIONS, "Blocks let go to keep the limit");
+    describe_gauge!(STORE_DISK_BYTES, "Bytes of the files in the data directory, as last measured");
+    describe_gauge!(STORE_LIVE_BYTES, "Bytes of the keys and values that the store holds");
+    describe_counter!(STORE_REWRITES, "Rewrites of the store's database by outcome: done, failed");
 }
 
 /// Takes over what the cache counts by itself.
@@ -43,6 +50,17 @@ pub(super) fn cache(statistics: &CacheStatistics) {
     counter!(CACHE_HITS).absolute(statistics.hits);
     counter!(CACHE_LOADS).absolute(statistics.loads);
     counter!(CACHE_EVICTIONS).absolute(statistics.evictions);
+}
+
+/// Takes over what the store counts by itself.
+pub(super) fn store(statistics: &StoreStatistics) {
+    // Nothing is shown until it was measured.
+    if let Some(live) = statistics.live_bytes {
+        gauge!(STORE_DISK_BYTES).set(statistics.disk_bytes as f64);
+        gauge!(STORE_LIVE_BYTES).set(live as f64);
+    }
+    counter!(STORE_REWRITES, "outcome" => "done").absolute(statistics.rewrites);
+    counter!(STORE_REWRITES, "outcome" => "failed").absolute(statistics.failed_rewrites);
 }
 
 /// What became of scans.

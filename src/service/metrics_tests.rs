@@ -1,6 +1,7 @@
 //! The names that dashboards are built on.
 
-use super::metrics::{Loaded, Outcome, Queued, beams_failed, commit, describe_metrics, evidence, query, scans};
+use super::metrics::{Loaded, Outcome, Queued, beams_failed, commit, describe_metrics, evidence, query, scans, store};
+use crate::store::StoreStatistics;
 use metrics_exporter_prometheus::PrometheusBuilder;
 use std::time::Duration;
 
@@ -19,6 +20,7 @@ fn metrics_keep_their_names() {
         evidence(Duration::from_millis(1));
         assert_eq!(query("grid", || 8), 8);
         drop(Queued::new());
+        store(&StoreStatistics { disk_bytes: 900, live_bytes: Some(300), rewrites: 2, failed_rewrites: 1 });
         (Loaded::new(), Queued::new())
     });
     let text = handle.render();
@@ -34,6 +36,10 @@ fn metrics_keep_their_names() {
         "ubbmap_query_seconds_count{kind=\"grid\"} 1",
         "ubbmap_queue_depth 1",
         "ubbmap_maps_open 1",
+        "ubbmap_store_disk_bytes 900",
+        "ubbmap_store_live_bytes 300",
+        "ubbmap_store_rewrites_total{outcome=\"done\"} 2",
+        "ubbmap_store_rewrites_total{outcome=\"failed\"} 1",
         "# HELP ubbmap_queue_depth ",
     ] {
         assert!(text.contains(line), "{line} is not in\n{text}");

@@ -260,6 +260,9 @@ impl MapService {
     /// Hands what is counted elsewhere to the recorder: called before the metrics are shown.
     pub fn note_metrics(&self) {
         metrics::cache(&self.cache());
+        if let Some(statistics) = self.registry.store.statistics() {
+            metrics::store(&statistics);
+        }
     }
 
     /// What the blocks in memory take, and what was done to keep them under their limit.

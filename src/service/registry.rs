@@ -33,7 +33,7 @@ pub(super) enum WhenFull {
 
 /// All that the clones of one service share.
 pub(super) struct Registry {
-    store: Arc<dyn MapStore>,
+    pub(super) store: Arc<dyn MapStore>,
     /// Blocks of all maps in memory.
     pub(super) cache: Arc<BlockCache>,
     pub(super) settings: Arc<ServiceSettings>,

@@ -171,7 +171,7 @@ impl Records {
                 Some(Err(newer @ StoreError::NewerFormat { .. })) => return Err(newer),
                 _ => {
                     tracing::warn!("{}: made anew from its blocks", keys::describe(&key));
-                    Group::of_blocks(&self.db, id, number, codec)?
+                    Group::of_blocks(&self.db(), id, number, codec)?
                 }
             };
             noted.iter().for_each(|noted| group.note(noted.address, noted.known));
@@ -209,7 +209,7 @@ impl Records {
                 Err(newer @ StoreError::NewerFormat { .. }) => return Err(newer),
                 _ => {
                     tracing::warn!("{}: made anew from its blocks", keys::describe(key));
-                    let group = Group::of_blocks(&self.db, *id, number, &entry.codec())?;
+                    let group = Group::of_blocks(&self.db(), *id, number, &entry.codec())?;
                     known.extend(group.blocks(number).filter(sound));
                 }
             }

@@ -20,12 +20,18 @@ mod names;
 mod record;
 mod sled_catalogue;
 mod sled_commit;
+mod sled_copy;
+mod sled_generations;
 mod sled_import;
 mod sled_open;
 mod sled_records;
+mod sled_rewrite;
 mod sled_snapshots;
 mod sled_store;
+mod sled_upkeep;
+mod sled_writes;
 mod stamps;
+mod stop;
 mod window;
 
 #[cfg(test)]
@@ -49,7 +55,8 @@ pub use memory_store::MemoryStore;
 pub use migrate::STORE_FORMAT;
 pub use names::{MapName, NameError, RobotName, SnapshotName};
 pub use sled_catalogue::Verification;
-pub use sled_open::SledOptions;
+pub use sled_open::{RewriteOptions, SledOptions};
+pub use sled_rewrite::{RewriteStep, Rewritten, Watch};
 pub use sled_store::SledStore;
 pub use stamps::{BlockStamp, BlockStamps};
 pub use window::{SequenceVerdict, SequenceWindow, WINDOW_LENGTH};
@@ -328,10 +335,28 @@ pub trait MapStore: Send + Sync + 'static {
         None
     }
 
+    /// What the store takes on disk; `None` for one that is on none.
+    fn statistics(&self) -> Option<StoreStatistics> {
+        None
+    }
+
     /// Maps that are in the store but cannot be read, and why; [`MapStore::list`] leaves them out.
     fn damaged(&self) -> Vec<DamagedMap> {
         Vec::new()
     }
+}
+
+/// What a store takes on disk, as it was last measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct StoreStatistics {
+    /// Bytes of all files.
+    pub disk_bytes: u64,
+    /// Bytes of the keys and values that it holds; `None` until they are counted.
+    pub live_bytes: Option<u64>,
+    /// How often the database was rewritten since the store was opened.
+    pub rewrites: u64,
+    /// How often a rewrite failed and left the database as it was.
+    pub failed_rewrites: u64,
 }
 
 /// A map that is in the store but cannot be read. Its name stays taken; [`MapStore::delete`] removes it.

@@ -9,7 +9,8 @@ use super::groups::{Known, Noted};
 use super::keys::{self, Kind};
 use super::record;
 use super::sled_catalogue::Entry;
-use super::sled_store::{Change, SledStore};
+use super::sled_store::SledStore;
+use super::sled_writes::Change;
 use super::{BlockStamp, Commit, StoreError, StoredMap};
 
 /// The changes of a commit as they come together.

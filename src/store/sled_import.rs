@@ -7,7 +7,8 @@ use super::config_record::{Counts, FixedConfig, MapRecord, encode_block, encode_
 use super::groups::{Group, Known, group_of};
 use super::keys::{self, Kind};
 use super::sled_catalogue::Entry;
-use super::sled_store::{Change, SledStore};
+use super::sled_store::SledStore;
+use super::sled_writes::Change;
 use super::{BlockStamp, LoadedMap, MapId, MapName, StoreError, StoredMap, lock};
 use crate::mapping::MapConfig;
 use crate::quadtree::{BlockAddress, BlockView};

@@ -1,25 +1,24 @@
 //! Creating and opening the directory of a store, so that what is there after a power cut is a whole store or none.
 //!
 //! `DIR/lock` is locked while a store is open. `DIR/acknowledged` has the number of the last write that was acknowledged
-//! (see [`super::mark`]). `DIR/sled` is the database. It is made as `DIR/sled.creating`, synced
-//! with everything in it, and only then renamed: a directory of the final name is never half made.
+//! (see [`super::mark`]). `DIR/sled` is the database of a new store ([`super::sled_generations`] has what comes after it).
+//! It is made as `DIR/sled.creating`, synced with everything in it, and only then renamed: a directory of the final name is
+//! never half made.
 
 use super::config_record::Header;
 use super::durability::{FileSyncer, Syncer};
 use super::keys::{self, Kind};
 use super::mark::{MARK, Mark};
 use super::migrate::{STORE_FORMAT, migrate};
+use super::sled_generations::{CURRENT, DATABASE, Generation, find};
 use super::{StoreError, record};
 use std::fs::{self, File, TryLockError};
 use std::ops::Deref;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
-/// The database's directory within the data directory.
-const DATABASE: &str = "sled";
-
-/// Its name while it is being made.
+/// The name of a new store's database while it is being made.
 const CREATING: &str = "sled.creating";
 
 /// How long to wait for the lock of a directory or database that was just closed: sled's own threads let go of its file
@@ -30,16 +29,46 @@ const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 const LOCK_RETRY: Duration = Duration::from_millis(5);
 
 /// Settings of a store on disk.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SledOptions {
-    /// Bytes of memory for sled's page cache.
+    /// Bytes of memory for sled's page cache; while the database is rewritten the new one has as much.
     pub cache_bytes: u64,
+    /// When the database is rewritten.
+    pub rewrite: RewriteOptions,
 }
 
 impl Default for SledOptions {
     /// 64 MiB: maps are held in memory by the service, so pages are seldom read twice.
     fn default() -> Self {
-        Self { cache_bytes: 64 << 20 }
+        Self { cache_bytes: 64 << 20, rewrite: RewriteOptions::default() }
+    }
+}
+
+/// When the database is rewritten into a new directory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RewriteOptions {
+    /// When its files take more than so many times the bytes of what it holds.
+    pub factor: f64,
+    /// Never while its files take fewer bytes than this.
+    pub least_bytes: u64,
+    /// How often its size is looked at.
+    pub check: Duration,
+}
+
+impl Default for RewriteOptions {
+    /// Under steady replacement sled settles at 4.5 to 6 times what it holds, and a fresh copy takes 2.6 to 2.8 times: 8 is
+    /// reached only when something else has grown it. Every 10 seconds: looking costs a reading of a directory.
+    fn default() -> Self {
+        Self { factor: 8.0, least_bytes: 64 << 20, check: Duration::from_secs(10) }
+    }
+}
+
+impl RewriteOptions {
+    /// The most bytes that the files of a database may take before it is rewritten, if it holds `live` bytes of keys and
+    /// values.
+    #[must_use]
+    pub fn limit(&self, live: u64) -> u64 {
+        self.least_bytes.max((self.factor * live as f64) as u64)
     }
 }
 
@@ -66,6 +95,7 @@ impl Drop for Database {
 /// A directory that is open.
 pub(super) struct Opened {
     pub(super) db: Database,
+    pub(super) generation: Generation,
     pub(super) syncer: Box<dyn Syncer>,
     pub(super) mark: Mark,
     /// The number of the last write.
@@ -77,31 +107,34 @@ pub(super) struct Opened {
 pub(super) fn open_directory(directory: &Path, options: SledOptions) -> Result<Opened, StoreError> {
     create_directories(directory)?;
     let lock = lock_directory(directory)?;
-    let path = directory.join(DATABASE);
-    let fresh = !exists(&path)?;
+    let found = find(directory)?;
+    let fresh = found.is_none();
     if fresh {
         create_store(directory, options)?;
     }
+    let generation = found.unwrap_or(Generation::FIRST);
+    let path = generation.path(directory);
     if !exists(&path.join("db"))? {
-        return Err(no_store(directory, "its database has lost its data file sled/db; restore the directory"));
+        let why = format!("its database has lost its data file {}/db; restore the directory", generation.name());
+        return Err(no_store(directory, &why));
     }
     let db = open_database(&path, options)?;
     // Opening may have written: the log's tail is cleared, a snapshot file renamed.
     sync_database(&path)?;
-    check_header(directory, &db)?;
+    check_header(directory, &path, &db)?;
     let last_write = last_write(&db)?;
     let mark = check_mark(directory, last_write, fresh)?;
     sync_directory(directory)?;
     let data = path.join("db");
     let syncer = File::open(&data).map_err(|source| io(&data, "opening", source))?;
-    Ok(Opened { db, syncer: Box::new(FileSyncer(syncer)), mark, last_write, lock })
+    Ok(Opened { db, generation, syncer: Box::new(FileSyncer(syncer)), mark, last_write, lock })
 }
 
-fn io(path: &Path, doing: &str, source: std::io::Error) -> StoreError {
+pub(super) fn io(path: &Path, doing: &str, source: std::io::Error) -> StoreError {
     StoreError::Io { what: format!("{doing} {}", path.display()), source }
 }
 
-fn no_store(directory: &Path, why: &str) -> StoreError {
+pub(super) fn no_store(directory: &Path, why: &str) -> StoreError {
     StoreError::NoStore { directory: directory.display().to_string(), why: why.to_owned() }
 }
 
@@ -135,12 +168,12 @@ fn parent_of(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-fn sync_directory(path: &Path) -> Result<(), StoreError> {
+pub(super) fn sync_directory(path: &Path) -> Result<(), StoreError> {
     File::open(path).and_then(|file| file.sync_all()).map_err(|source| io(path, "syncing", source))
 }
 
 /// Syncs every file of a database and the directories that name them.
-fn sync_database(path: &Path) -> Result<(), StoreError> {
+pub(super) fn sync_database(path: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(path).map_err(|source| io(path, "reading", source))? {
         let entry = entry.map_err(|source| io(path, "reading", source))?.path();
         sync_directory(&entry)?;
@@ -176,7 +209,7 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     for entry in fs::read_dir(directory).map_err(|source| io(directory, "reading", source))? {
         let name = entry.map_err(|source| io(directory, "reading", source))?.file_name();
         let name = name.to_string_lossy();
-        let telling = [MARK, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
+        let telling = [MARK, CURRENT, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
         if telling || (name.starts_with(DATABASE) && name != CREATING) {
             return Err(no_store(
                 directory,
@@ -214,7 +247,7 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
 }
 
 /// Opens a database. Damage can make sled panic: that is an error here, and the directory stays as it is.
-fn open_database(path: &Path, options: SledOptions) -> Result<Database, StoreError> {
+pub(super) fn open_database(path: &Path, options: SledOptions) -> Result<Database, StoreError> {
     let deadline = Instant::now() + LOCK_PATIENCE;
     loop {
         let config = sled::Config::new().path(path).cache_capacity(options.cache_bytes).flush_every_ms(None);
@@ -258,7 +291,7 @@ pub(super) fn guarded<T>(what: &str, call: impl FnOnce() -> sled::Result<T>) -> 
 }
 
 /// A database without a sound header is not taken for an empty store.
-fn check_header(directory: &Path, db: &Database) -> Result<(), StoreError> {
+fn check_header(directory: &Path, path: &Path, db: &Database) -> Result<(), StoreError> {
     let value = guarded("reading the store's header", || db.get(keys::HEADER))?.ok_or_else(|| {
         no_store(directory, "its database has no header: it is damaged or not a store; restore the directory")
     })?;
@@ -271,7 +304,7 @@ fn check_header(directory: &Path, db: &Database) -> Result<(), StoreError> {
             db.insert(keys::HEADER, record::seal(&keys::HEADER, 0, &content))?;
             db.flush()
         })?;
-        sync_database(&database_path(directory))
+        sync_database(path)
     })
 }
 
@@ -307,9 +340,4 @@ fn check_mark(directory: &Path, last_write: u64, fresh: bool) -> Result<Mark, St
     }
     mark.note(last_write).and_then(|()| mark.sync()).map_err(failed)?;
     Ok(mark)
-}
-
-/// The database's directory.
-pub(super) fn database_path(directory: &Path) -> PathBuf {
-    directory.join(DATABASE)
 }

@@ -10,6 +10,7 @@ use super::sled_catalogue::{Entry, not_later, read_window};
 use super::sled_open::{Database, guarded};
 use super::{BlockStamp, MapId, RobotName, SequenceWindow, StoreError, lock};
 use crate::quadtree::{Block, BlockAddress, BlockSource, BlockTag, BlockView, SourceError};
+use arc_swap::ArcSwap;
 use sled::IVec;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -23,7 +24,7 @@ pub(super) type Visit<'a> = dyn FnMut(&[u8], &[u8]) -> Result<(), StoreError> + 
 
 /// The database, shared by the store and the blocks of open maps.
 pub(super) struct Records {
-    pub(super) db: Database,
+    db: ArcSwap<Database>,
     /// After a failure: what the records of the changes that did not become durable were before.
     pub(super) undone: Mutex<Before>,
     /// Held until the database is closed.
@@ -31,12 +32,28 @@ pub(super) struct Records {
 }
 
 impl Records {
+    pub(super) fn new(db: Arc<Database>, lock: File) -> Self {
+        Self { db: ArcSwap::new(db), undone: Mutex::default(), _lock: lock }
+    }
+
+    /// The database, for one access: it may be replaced by a rewritten one between two. What is read through it, an
+    /// iterator too, must be dropped before it is: the one before is closed and removed when nobody has it any more.
+    pub(super) fn db(&self) -> Arc<Database> {
+        self.db.load_full()
+    }
+
+    /// Replaces the database by one that holds the same.
+    pub(super) fn replace(&self, db: Arc<Database>) {
+        self.db.store(db);
+    }
+
     /// A record as it was last durable, for readers of a record that no commit under way replaces.
     pub(super) fn get(&self, key: &[u8]) -> Result<Option<IVec>, StoreError> {
         if let Some(before) = lock(&self.undone).get(key) {
             return Ok(before.clone());
         }
-        guarded("reading a record", || self.db.get(key))
+        let db = self.db();
+        guarded("reading a record", || db.get(key))
     }
 
     /// Every record whose key begins so, as it was last durable. Its map must be held, but for checks.
@@ -46,7 +63,8 @@ impl Records {
             let from = all.range(prefix.to_vec()..).take_while(|(key, _)| key.starts_with(prefix));
             from.map(|(key, value)| (key.clone(), value.clone())).collect()
         };
-        let mut records = self.db.scan_prefix(prefix);
+        let db = self.db();
+        let mut records = db.scan_prefix(prefix);
         while let Some((key, value)) = guarded("reading records", || records.next().transpose())? {
             if !undone.contains_key(key.as_ref()) {
                 visit(&key, &value)?;

@@ -1,10 +1,12 @@
 //! Snapshots of a store on disk: one record each, and the records that commits since have replaced.
 
+use super::checks::holds;
 use super::config_record::{SnapshotRecord, decode_block};
 use super::groups::Known;
 use super::keys::{self, Kind};
 use super::record::{self, damaged};
 use super::sled_catalogue::{Entry, Snapshot, StoredWindow, open_window, read_window};
+use super::sled_open::guarded;
 use super::sled_records::Visit;
 use super::sled_store::SledStore;
 use super::{Difference, LoadedMap, MapId, RobotName, SequenceWindow, SnapshotName, StoreError, StoredSnapshot, lock};
@@ -15,10 +17,11 @@ use std::sync::Arc;
 /// Kept records that are removed in one batch, so that commits come between.
 const SWEEP_BATCH: usize = 500;
 
-/// The blocks of a snapshot.
+/// Blocks of a snapshot that are read at once, so that commits come between.
+const READ_BATCH: usize = 256;
+
+/// The blocks in which a snapshot differs from its map.
 struct SnapshotBlocks {
-    /// Those that the map still has as they were.
-    shared: Vec<(BlockAddress, Known)>,
     /// Those that were replaced, by Morton code.
     kept: BTreeMap<u64, BlockView>,
     /// Those that the map has in another form or did not have then.
@@ -140,29 +143,66 @@ impl SledStore {
         Ok(unneeded)
     }
 
+    /// Reads a snapshot while commits go on: what they replace meanwhile is found among what they keep.
     pub(super) fn read_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<LoadedMap, StoreError> {
         let busy = self.busy(id)?;
-        let _held = lock(&busy);
-        let entry = self.entry(id)?;
-        let snapshot = snapshot_of(&entry, name)?;
-        let SnapshotBlocks { shared, kept, .. } = self.snapshot_blocks(&entry, snapshot)?;
-        let codec = entry.codec();
-        let mut tree = OccupancyTree::new(entry.stored.config.grid().depth(), entry.stored.config.scale());
-        for (address, known) in shared {
-            let key = keys::block(id, address);
-            let value = self.records.get(&key)?.ok_or_else(|| damaged(&key, "missing"))?;
-            let record = record::open(&key, Kind::Block, &value)?;
-            let (_, view) = decode_block(&codec, &record).map_err(|why| damaged(&key, &why.to_string()))?;
-            if Known::of(&view, known.stamp) != known || record.revision != known.stamp.revision {
-                return Err(damaged(&key, "another block than the map's"));
+        let (entry, snapshot, windows, shared) = {
+            let _held = lock(&busy);
+            let entry = self.entry(id)?;
+            let snapshot = snapshot_of(&entry, name)?.clone();
+            let windows = self.snapshot_windows(&entry, &snapshot)?.windows;
+            let at = snapshot.stored.revision;
+            let known = self.records.known_blocks(&entry)?.into_iter();
+            let shared: Vec<_> = known.filter(|(_, known)| known.stamp.revision <= at).collect();
+            (entry, snapshot, windows, shared)
+        };
+        let read = || {
+            let mut kept = self.kept_blocks_at(&entry, snapshot.stored.revision)?;
+            let mut tree = OccupancyTree::new(entry.stored.config.grid().depth(), entry.stored.config.scale());
+            let mut found = 0;
+            for some in shared.chunks(READ_BATCH) {
+                let _held = lock(&busy);
+                for (address, known) in some {
+                    if !kept.contains_key(&address.morton()) {
+                        tree.set_block(*address, self.block_at(&entry, *address, known, snapshot.stored.revision)?);
+                        found += 1;
+                    }
+                }
             }
-            tree.set_block(address, view);
-        }
-        for (code, view) in kept {
-            tree.set_block(BlockAddress::from_morton(code), view);
-        }
-        let windows = self.snapshot_windows(&entry, snapshot)?.windows;
+            found += kept.len() as u64;
+            while let Some((code, view)) = kept.pop_first() {
+                tree.set_block(BlockAddress::from_morton(code), view);
+            }
+            complete(&entry, &snapshot, "blocks", found, snapshot.record.blocks)?;
+            Ok(tree)
+        };
+        // One that was deleted meanwhile has lost its blocks.
+        let tree = read().or_else(|error| snapshot_of(&self.entry(id)?, name).map(|_| ()).and(Err(error)))?;
         Ok(LoadedMap { revision: snapshot.stored.revision, tree, windows })
+    }
+
+    /// A block as a revision had it, of which it was known then. The map must be held.
+    fn block_at(&self, entry: &Entry, address: BlockAddress, known: &Known, at: u64) -> Result<BlockView, StoreError> {
+        let (id, codec) = (entry.stored.id, entry.codec());
+        let own = keys::block(id, address);
+        let value = self.records.get(&own)?.ok_or_else(|| damaged(&own, "missing"))?;
+        let mut found = (own, Kind::Block, value);
+        if record::open(&found.0, found.1, &found.2)?.revision > at {
+            // Replaced since it was looked for: the first that was replaced after the revision is what it had.
+            let from = keys::kept_block(id, address, at + 1);
+            let to = keys::kept_block(id, address, u64::MAX);
+            let db = self.records.db();
+            let kept = guarded("reading a kept block", || db.range(from.clone()..=to).next().transpose())?;
+            let (key, value) = kept.ok_or_else(|| damaged(&from, "missing"))?;
+            found = (key.to_vec(), Kind::KeptBlock, value);
+        }
+        let (key, kind, value) = found;
+        let record = record::open(&key, kind, &value)?;
+        let (_, view) = decode_block(&codec, &record).map_err(|why| damaged(&key, &why.to_string()))?;
+        if record.revision != known.stamp.revision || Known::of(&view, known.stamp) != *known {
+            return Err(damaged(&key, "another block than the map's"));
+        }
+        Ok(view)
     }
 
     pub(super) fn difference_to(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
@@ -185,23 +225,31 @@ impl SledStore {
         Ok(Difference { revision: snapshot.stored.revision, blocks, windows })
     }
 
-    fn snapshot_blocks(&self, entry: &Entry, snapshot: &Snapshot) -> Result<SnapshotBlocks, StoreError> {
-        let at = snapshot.stored.revision;
+    /// The kept blocks that a revision had, by Morton code.
+    fn kept_blocks_at(&self, entry: &Entry, at: u64) -> Result<BTreeMap<u64, BlockView>, StoreError> {
         let codec = entry.codec();
         let mut kept = BTreeMap::new();
         self.kept_at(entry, Kind::KeptBlock, at, &mut |key, value| {
-            let address = keys::kept_block_of(key).ok_or_else(|| damaged(key, "outside the map"))?;
+            let address = keys::kept_block_of(key).filter(|address| holds(entry.stored.config.grid(), *address));
+            let address = address.ok_or_else(|| damaged(key, "outside the map"))?;
             let record = record::open(key, Kind::KeptBlock, value)?;
             let (_, view) = decode_block(&codec, &record).map_err(|why| damaged(key, &why.to_string()))?;
             kept.insert(address.morton(), view);
             Ok(())
         })?;
+        Ok(kept)
+    }
+
+    /// The map must be held.
+    fn snapshot_blocks(&self, entry: &Entry, snapshot: &Snapshot) -> Result<SnapshotBlocks, StoreError> {
+        let at = snapshot.stored.revision;
+        let kept = self.kept_blocks_at(entry, at)?;
         let (shared, later): (Vec<_>, Vec<_>) =
             self.records.known_blocks(entry)?.into_iter().partition(|(_, known)| known.stamp.revision <= at);
         let later: Vec<BlockAddress> = later.into_iter().map(|(address, _)| address).collect();
         let found = (shared.len() + kept.len()) as u64;
         complete(entry, snapshot, "blocks", found, snapshot.record.blocks)?;
-        Ok(SnapshotBlocks { shared, kept, later })
+        Ok(SnapshotBlocks { kept, later })
     }
 
     fn snapshot_windows(&self, entry: &Entry, snapshot: &Snapshot) -> Result<SnapshotWindows, StoreError> {

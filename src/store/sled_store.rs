@@ -6,34 +6,41 @@
 use super::block_codec::BlockCodec;
 use super::checks::check_commit;
 use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor};
-use super::durability::{Durability, Syncer, Ticket};
+use super::durability::Syncer;
 use super::keys::{self, Kind};
 use super::record;
 use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
-use super::sled_open::{SledOptions, database_path, guarded, open_directory};
+use super::sled_generations::{bytes_in, is_in, remove_others};
+use super::sled_open::{SledOptions, guarded, io, open_directory};
 use super::sled_records::{Blocks, Records};
+use super::sled_rewrite::{Rewriter, Rewritten, Watch};
+use super::sled_upkeep::Upkeep;
+use super::sled_writes::{Change, Sink, Writes};
 use super::{
     BlockStamps, Commit, DamagedMap, Difference, LoadedMap, MapId, MapName, MapStore, OpenMap, SnapshotName,
-    StoreError, StoredMap, StoredSnapshot, lock,
+    StoreError, StoreStatistics, StoredMap, StoredSnapshot, lock,
 };
 use crate::mapping::MapConfig;
 use crate::quadtree::{BlockCache, BlockPager, OccupancyTree, PagedTree};
 use sled::IVec;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
 /// Records removed in one batch while a deleted map is cleared away.
 const PURGE_BATCH: usize = 1000;
 
-/// A store in a directory. One process may have it open at a time.
+/// A store in a directory. One process may have it open at a time. A thread of its own has the database rewritten when it
+/// has grown beyond its limit.
 pub struct SledStore {
-    pub(super) records: Arc<Records>,
-    durability: Durability,
+    /// Ended first.
+    _upkeep: Upkeep,
+    rewriter: Arc<Rewriter>,
+    writes: Arc<Writes>,
     pub(super) catalogue: Mutex<Catalogue>,
     /// The number of the next map; held while maps are created and deleted.
     pub(super) next_map: Mutex<u32>,
-    /// The number of the last write; held while a batch is applied, so that numbers are in the order of the log.
-    last_write: Mutex<u64>,
+    directory: PathBuf,
+    pub(super) records: Arc<Records>,
 }
 
 /// What belongs to a map beside the records that its tombstone replaces.
@@ -47,13 +54,6 @@ const PURGED: [Kind; 8] = [
     Kind::KeptWindow,
     Kind::Sweep,
 ];
-
-/// One record to be written (or removed: `None`), and what was there before.
-pub(super) struct Change {
-    pub(super) key: Vec<u8>,
-    pub(super) value: Option<Vec<u8>>,
-    pub(super) before: Option<IVec>,
-}
 
 impl std::fmt::Debug for SledStore {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -73,6 +73,14 @@ impl SledStore {
         Self::open_with(directory, options, |syncer| syncer)
     }
 
+    /// True when there is a database in the directory, whether or not it opens.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`] when that cannot be seen.
+    pub fn is_in(directory: &Path) -> Result<bool, StoreError> {
+        is_in(directory)
+    }
+
     /// As [`SledStore::open`], with the sync of the data file replaced: for tests that count, delay or fail it.
     ///
     /// # Errors
@@ -80,42 +88,54 @@ impl SledStore {
     pub fn open_with(
         directory: &Path,
         options: SledOptions,
-        wrap: impl FnOnce(Box<dyn Syncer>) -> Box<dyn Syncer>,
+        wrap: impl Fn(Box<dyn Syncer>) -> Box<dyn Syncer> + Send + Sync + 'static,
     ) -> Result<Self, StoreError> {
         let opened = open_directory(directory, options)?;
+        let generation = opened.generation;
         let catalogue = Catalogue::read(&opened.db)?;
         let mut next = next_map(&opened.db)?;
         if let Some((last, _)) = catalogue.maps.last_key_value() {
             next = next.max(last.0.saturating_add(1));
         }
-        let data = database_path(directory).join("db").display().to_string();
-        let syncer = wrap(opened.syncer);
-        let flushed = opened.db.clone();
-        let mut mark = opened.mark;
-        let make_durable = move |last_write| {
-            flushed.flush().map_err(|error| format!("flushing {data}: {error}"))?;
-            syncer.sync().map_err(|error| format!("syncing {data}: {error}"))?;
-            mark.note(last_write).map_err(|error| format!("noting the last write beside {data}: {error}"))
-        };
-        let nudged = opened.db.clone();
-        let nudge = move || {
-            if nudged.context.global_error().is_err() {
-                // It fails as the one that hangs should have, and wakes that one.
-                let _ = nudged.flush();
-            }
-        };
-        let durability = Durability::start(opened.last_write, make_durable, nudge)
-            .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
-        let records = Records { db: opened.db, undone: Mutex::default(), _lock: opened.lock };
+        // It has opened well. Beside a damaged one, what may be its older self is kept.
+        remove_others(directory, generation, !catalogue.damaged.is_empty());
+        let data = generation.path(directory).join("db").display().to_string();
+        let db = Arc::new(opened.db);
+        let records = Arc::new(Records::new(Arc::clone(&db), opened.lock));
+        let sink = Sink { db, syncer: wrap(opened.syncer), data, mark: opened.mark };
+        let writes = Arc::new(Writes::start(Arc::clone(&records), sink, opened.last_write)?);
+        let rewriter = Rewriter::new(directory, options, Box::new(wrap), generation, Arc::clone(&writes));
+        let rewriter = Arc::new(rewriter);
+        let upkeep = Upkeep::start(Arc::clone(&rewriter), options.rewrite.check)
+            .map_err(|source| StoreError::Io { what: "starting the thread of the upkeep".to_owned(), source })?;
         let store = Self {
-            records: Arc::new(records),
-            durability,
+            _upkeep: upkeep,
+            rewriter,
+            writes,
             catalogue: Mutex::new(catalogue),
             next_map: Mutex::new(next),
-            last_write: Mutex::new(opened.last_write),
+            directory: directory.to_owned(),
+            records,
         };
         store.finish_deletions()?;
         Ok(store)
+    }
+
+    /// Rewrites the database into a new directory, whatever its size; the store goes on meanwhile. `watch` is told how far
+    /// it has come.
+    ///
+    /// # Errors
+    /// When something fails, or `watch` does: the database stays as it was. Only when it cannot be known which of the two
+    /// would be opened after a crash does the store take no more writes.
+    pub fn rewrite(&self, watch: &mut Watch<'_>) -> Result<Rewritten, StoreError> {
+        self.rewriter.rewrite(watch)
+    }
+
+    /// About how many records the store holds: for showing how far long work is.
+    #[must_use]
+    pub fn about_records(&self) -> u64 {
+        let of_map = |counts: &Counts| counts.blocks + counts.windows + counts.sensors + 3;
+        lock(&self.catalogue).maps.values().map(|entry| of_map(&entry.counts)).sum()
     }
 
     /// Checks every record of the store.
@@ -123,6 +143,14 @@ impl SledStore {
     /// # Errors
     /// When the records cannot be read at all; what is wrong with single ones is in the answer.
     pub fn verify(&self) -> Result<Verification, StoreError> {
+        self.verify_with(&mut |_| ())
+    }
+
+    /// As [`SledStore::verify`]; `told` is given how many records were read so far. Nearly each is read twice.
+    ///
+    /// # Errors
+    /// As [`SledStore::verify`].
+    pub fn verify_with(&self, told: &mut dyn FnMut(u64)) -> Result<Verification, StoreError> {
         let maps = self.list()?;
         let codec = |id: Option<MapId>| {
             let map = maps.iter().find(|map| Some(map.id) == id)?;
@@ -136,13 +164,20 @@ impl SledStore {
                 of_map = (id, codec(id));
             }
             found.records += 1;
+            told(found.records);
             found.bytes += (key.len() + value.len()) as u64;
             found.problems.extend(check_record(key, value, of_map.1.as_ref()).err().map(|error| error.to_string()));
             Ok(())
         })?;
         let known = |problems: &[String], what: &str| problems.iter().any(|problem| what.contains(problem.as_str()));
         let of_maps = self.damaged().into_iter().map(|damaged| damaged.what);
-        let of_contents = maps.iter().filter_map(|map| self.load(map.id).err().map(|error| error.to_string()));
+        let mut read = found.records;
+        let of_contents = maps.iter().filter_map(|map| {
+            let error = self.load(map.id).err().map(|error| error.to_string());
+            read += self.entry(map.id).map_or(0, |entry| entry.counts.blocks);
+            told(read);
+            error
+        });
         let of_snapshots = maps.iter().flat_map(|map| self.snapshot_problems(map.id));
         for what in of_maps.chain(of_contents).chain(of_snapshots) {
             if !known(&found.problems, &what) {
@@ -165,11 +200,11 @@ impl SledStore {
     /// # Errors
     /// When the directory cannot be read.
     pub fn disk_bytes(&self) -> Result<u64, StoreError> {
-        guarded("measuring the store", || self.records.db.size_on_disk())
+        bytes_in(&self.directory).map_err(|source| io(&self.directory, "measuring", source))
     }
 
     pub(super) fn writable(&self) -> Result<(), StoreError> {
-        self.durability.failure().map_or(Ok(()), |reason| Err(StoreError::FailStop(reason)))
+        self.writes.writable()
     }
 
     /// The map as it is, and its lock: to be taken, and the entry then read again.
@@ -195,7 +230,8 @@ impl SledStore {
     }
 
     pub(super) fn change(&self, key: Vec<u8>, value: Option<Vec<u8>>) -> Result<Change, StoreError> {
-        let before = guarded("reading what is to be changed", || self.records.db.get(&key))?;
+        let db = self.records.db();
+        let before = guarded("reading what is to be changed", || db.get(&key))?;
         Ok(Change { key, value, before })
     }
 
@@ -204,41 +240,9 @@ impl SledStore {
         self.change(key, Some(value))
     }
 
-    /// Writes all of the changes or none, and returns when they are durable. The records' map (or the catalogue) must
-    /// be held. After an error reads show what was there before.
+    /// Writes all of the changes or none: see [`Writes::write`].
     pub(super) fn write(&self, changes: Vec<Change>) -> Result<(), StoreError> {
-        self.writable()?;
-        let mut batch = sled::Batch::default();
-        let mut before = Vec::with_capacity(changes.len());
-        for change in changes {
-            match change.value {
-                Some(value) => batch.insert(change.key.as_slice(), value),
-                None => batch.remove(change.key.as_slice()),
-            }
-            before.push((change.key, change.before));
-        }
-        let applied = self.apply(batch).map_err(|error| error.to_string());
-        applied.and_then(|ticket| self.durability.wait(ticket)).map_err(|reason| {
-            let mut undone = lock(&self.records.undone);
-            for (key, value) in before {
-                undone.entry(key).or_insert(value);
-            }
-            StoreError::FailStop(reason)
-        })
-    }
-
-    /// Applies a batch with the next number; a failure is for good.
-    fn apply(&self, mut batch: sled::Batch) -> Result<Ticket, StoreError> {
-        let mut last_write = lock(&self.last_write);
-        *last_write += 1;
-        batch.insert(&keys::LAST_WRITE, record::seal(&keys::LAST_WRITE, 0, &last_write.to_be_bytes()));
-        match guarded("writing", || self.records.db.apply_batch(batch)) {
-            Ok(()) => Ok(self.durability.applied()),
-            Err(error) => {
-                self.durability.fail(&error.to_string());
-                Err(error)
-            }
-        }
+        self.writes.write(changes)
     }
 
     /// The changes from one set of sensors to another.
@@ -290,17 +294,20 @@ impl SledStore {
         for kind in PURGED {
             let prefix = keys::of_map(kind, id);
             loop {
-                let found: Vec<IVec> = guarded("reading what is to be removed", || {
-                    self.records.db.scan_prefix(&prefix).keys().take(PURGE_BATCH).collect()
-                })?;
+                let db = self.records.db();
+                let found: Vec<(IVec, IVec)> =
+                    guarded("reading what is to be removed", || db.scan_prefix(&prefix).take(PURGE_BATCH).collect())?;
+                drop(db);
                 if found.is_empty() {
                     break;
                 }
-                let remove = |key: IVec| Change { key: key.to_vec(), value: None, before: None };
+                // What was there counts for the size alone: the map is deleted already.
+                let remove =
+                    |(key, value): (IVec, IVec)| Change { key: key.to_vec(), value: None, before: Some(value) };
                 self.write(found.into_iter().map(remove).collect())?;
             }
         }
-        self.write(vec![Change { key: keys::of_map(Kind::Tombstone, id), value: None, before: None }])
+        self.write(vec![self.change(keys::of_map(Kind::Tombstone, id), None)?])
     }
 }
 
@@ -455,7 +462,11 @@ impl MapStore for SledStore {
     }
 
     fn failure(&self) -> Option<String> {
-        self.durability.failure()
+        self.writes.failure()
+    }
+
+    fn statistics(&self) -> Option<StoreStatistics> {
+        Some(self.rewriter.statistics())
     }
 
     fn damaged(&self) -> Vec<DamagedMap> {

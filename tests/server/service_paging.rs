@@ -4,6 +4,7 @@
 
 use super::service_support::{applied, config, counts, leaves, map_name, ring, served};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::task::JoinSet;
 use ubbmap::mapping::{Region, guaranteed_free};
 use ubbmap::quadtree::LeafRange;
@@ -56,7 +57,31 @@ async fn under_a_tiny_limit_every_answer_is_that_of_the_whole_map() {
 #[tokio::test(flavor = "multi_thread")]
 async fn readers_see_whole_revisions_while_robots_write_and_blocks_come_and_go() {
     let directory = tempfile::tempdir().unwrap();
+    let store = SledStore::open(directory.path(), SledOptions::default()).unwrap();
+    read_while_written(Arc::new(store)).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn readers_see_whole_revisions_while_robots_write_and_the_database_is_rewritten() {
+    let directory = tempfile::tempdir().unwrap();
     let store = Arc::new(SledStore::open(directory.path(), SledOptions::default()).unwrap());
+    let done = Arc::<AtomicBool>::default();
+    let (rewritten, ended) = (Arc::clone(&store), Arc::clone(&done));
+    let rewriting = std::thread::spawn(move || {
+        let mut rewrites = 0;
+        while !ended.load(Ordering::SeqCst) {
+            rewritten.rewrite(&mut |_| Ok(())).unwrap();
+            rewrites += 1;
+        }
+        rewrites
+    });
+    read_while_written(store).await;
+    done.store(true, Ordering::SeqCst);
+    assert!(rewriting.join().unwrap() > 1);
+}
+
+/// 60 commits, and readers that hold every revision they see against the map of so many scans.
+async fn read_while_written(store: Arc<SledStore>) {
     let service = MapService::open(store, tiny()).unwrap();
     let name = map_name("hall");
     service.create_map(&name, config()).await.unwrap();

@@ -59,7 +59,7 @@ impl Syncer for Probe {
 fn probed(directory: &Path) -> (SledStore, Arc<Control>) {
     let control = Arc::<Control>::default();
     let of_probe = Arc::clone(&control);
-    let wrap = |inner| Box::new(Probe { inner, control: of_probe }) as Box<dyn Syncer>;
+    let wrap = move |inner| Box::new(Probe { inner, control: Arc::clone(&of_probe) }) as Box<dyn Syncer>;
     (SledStore::open_with(directory, SledOptions::default(), wrap).unwrap(), control)
 }
 

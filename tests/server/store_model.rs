@@ -47,6 +47,8 @@ enum Op {
     Copy(u8, u8, Option<u8>),
     Reboot,
     Crash,
+    /// The database is written anew.
+    Rewrite,
     /// The next operation meets a disk that does not sync.
     Fail,
 }
@@ -64,6 +66,7 @@ fn ops() -> impl Strategy<Value = Vec<Op>> {
         2 => (map(), map(), prop::option::of(0..4_u8)).prop_map(|(from, to, name)| Op::Copy(from, to, name)),
         1 => Just(Op::Reboot),
         1 => Just(Op::Crash),
+        1 => Just(Op::Rewrite),
         1 => Just(Op::Fail),
     ];
     prop::collection::vec(op, 1..60)
@@ -186,7 +189,7 @@ fn expected(model: &Model, op: &Op) -> Option<Model> {
             let fresh = model.insert(map_name(*to), copy).is_none();
             return fresh.then_some(model);
         }
-        Op::Reboot | Op::Crash | Op::Fail => {}
+        Op::Reboot | Op::Crash | Op::Rewrite | Op::Fail => {}
     }
     Some(model)
 }
@@ -243,7 +246,7 @@ fn perform(store: &dyn MapStore, model: &Model, op: &Op) -> Result<bool, StoreEr
             let (config, map) = read_map_file(&mut file.as_slice()).unwrap();
             store.import(&map_name(*to), &config, 0.0, &map).map(|_| true)
         }
-        Op::Reboot | Op::Crash | Op::Fail => Ok(true),
+        Op::Reboot | Op::Crash | Op::Rewrite | Op::Fail => Ok(true),
     }
 }
 
@@ -283,7 +286,10 @@ impl Syncer for Unsteady {
 
 fn open(directory: &Path, fails: &Arc<AtomicBool>) -> SledStore {
     let fails = Arc::clone(fails);
-    SledStore::open_with(directory, SledOptions::default(), |inner| Box::new(Unsteady { inner, fails })).unwrap()
+    SledStore::open_with(directory, SledOptions::default(), move |inner| {
+        Box::new(Unsteady { inner, fails: Arc::clone(&fails) })
+    })
+    .unwrap()
 }
 
 /// A copy of the files as they are: what a killed process leaves.
@@ -344,6 +350,10 @@ proptest! {
         for op in &ops {
             match op {
                 Op::Fail => failing = true,
+                Op::Rewrite => {
+                    let live = store.rewrite(&mut |_| Ok(())).unwrap().live_bytes;
+                    prop_assert!(live > 0);
+                }
                 Op::Reboot => {
                     drop(store);
                     store = open(directory.path(), &fails);
