@@ -85,6 +85,7 @@ pub(super) fn open_directory(directory: &Path, options: SledOptions) -> Result<O
     if !exists(&path.join("db"))? {
         return Err(no_store(directory, "its database has lost its data file sled/db; restore the directory"));
     }
+    remove_unfinished_snapshots(&path)?;
     let db = open_database(&path, options)?;
     // Opening may have written: the log's tail is cleared, a snapshot file renamed.
     sync_database(&path)?;
@@ -210,6 +211,22 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     fs::rename(&creating, &path).map_err(|source| io(&creating, "renaming", source))?;
     sync_directory(directory)?;
     tracing::info!(directory = %directory.display(), format = STORE_FORMAT, "created an empty store");
+    Ok(())
+}
+
+/// sled takes a snapshot of its page table when it opens, as `snap.N.generating`, and renames it when it is whole. What an
+/// opening that was cut off has left of one would be taken for the newest snapshot, and refused as damaged. The one
+/// before it is still there, or the whole log.
+fn remove_unfinished_snapshots(path: &Path) -> Result<(), StoreError> {
+    for entry in fs::read_dir(path).map_err(|source| io(path, "reading", source))? {
+        let name = entry.map_err(|source| io(path, "reading", source))?.file_name();
+        let text = name.to_string_lossy();
+        if text.starts_with("snap.") && text.ends_with(".generating") {
+            let unfinished = path.join(&name);
+            fs::remove_file(&unfinished).map_err(|source| io(&unfinished, "removing", source))?;
+            tracing::warn!(file = %unfinished.display(), "removed what an opening that was cut off had left");
+        }
+    }
     Ok(())
 }
 
