@@ -6,6 +6,7 @@
 
 use super::config_record::Header;
 use super::durability::{FileSyncer, Syncer};
+use super::kept::{Before, KEPT};
 use super::keys::{self, Kind};
 use super::mark::{MARK, Mark};
 use super::migrate::{STORE_FORMAT, migrate};
@@ -85,17 +86,34 @@ pub(super) fn open_directory(directory: &Path, options: SledOptions) -> Result<O
     if !exists(&path.join("db"))? {
         return Err(no_store(directory, "its database has lost its data file sled/db; restore the directory"));
     }
-    remove_unfinished_snapshots(&path)?;
-    let db = open_database(&path, options)?;
+    let before = Before::keep(directory, &path);
+    match open_existing(directory, &path, fresh, options) {
+        Ok((db, syncer, mark, last_write)) => {
+            before.opened();
+            Ok(Opened { db, syncer, mark, last_write, lock })
+        }
+        Err(error) => Err(before.refused(error)),
+    }
+}
+
+/// Opens the database, and holds that it is whole: it has a header, and all that was acknowledged.
+fn open_existing(
+    directory: &Path,
+    path: &Path,
+    fresh: bool,
+    options: SledOptions,
+) -> Result<(Database, Box<dyn Syncer>, Mark, u64), StoreError> {
+    remove_unfinished_snapshots(path)?;
+    let db = open_database(path, options)?;
     // Opening may have written: the log's tail is cleared, a snapshot file renamed.
-    sync_database(&path)?;
+    sync_database(path)?;
     check_header(directory, &db)?;
     let last_write = last_write(&db)?;
     let mark = check_mark(directory, last_write, fresh)?;
     sync_directory(directory)?;
     let data = path.join("db");
     let syncer = File::open(&data).map_err(|source| io(&data, "opening", source))?;
-    Ok(Opened { db, syncer: Box::new(FileSyncer(syncer)), mark, last_write, lock })
+    Ok((db, Box::new(FileSyncer(syncer)), mark, last_write))
 }
 
 fn io(path: &Path, doing: &str, source: std::io::Error) -> StoreError {
@@ -177,7 +195,7 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     for entry in fs::read_dir(directory).map_err(|source| io(directory, "reading", source))? {
         let name = entry.map_err(|source| io(directory, "reading", source))?.file_name();
         let name = name.to_string_lossy();
-        let telling = [MARK, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
+        let telling = [MARK, KEPT, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
         if telling || (name.starts_with(DATABASE) && name != CREATING) {
             return Err(no_store(
                 directory,

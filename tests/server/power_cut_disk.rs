@@ -15,6 +15,9 @@ use std::path::Path;
 const PAGE: usize = 4096;
 const SECTOR: usize = 512;
 
+/// The end, without what was not done then.
+const FINISHED: usize = usize::MAX - 1;
+
 type NodeId = usize;
 
 /// What one call changed.
@@ -110,9 +113,10 @@ impl Recording {
         self.rebuild_node(0, cut, mood, random, into);
     }
 
-    /// Writes the files as they were when the process ended.
-    pub fn rebuild_end(&self, random: &mut ChaCha8Rng, into: &Path) {
-        self.rebuild_node(0, usize::MAX, Mood::Everything, random, into);
+    /// Writes the files as they were when the process ended: with what it was at then, or without.
+    pub fn rebuild_end(&self, unfinished: bool, random: &mut ChaCha8Rng, into: &Path) {
+        let cut = if unfinished { usize::MAX } else { FINISHED };
+        self.rebuild_node(0, cut, Mood::Everything, random, into);
     }
 
     fn rebuild_node(&self, id: NodeId, cut: usize, mood: Mood, random: &mut ChaCha8Rng, into: &Path) {
@@ -133,6 +137,7 @@ impl Node {
     fn begun(&self, cut: usize) -> (Vec<&Event>, usize) {
         let covered = self.syncs.iter().filter(|(_, end)| *end < cut).map(|(start, _)| *start).max().unwrap_or(0);
         let mut begun: Vec<&Event> = self.events.iter().filter(|event| event.start < cut).collect();
+        begun.retain(|event| event.end < usize::MAX || cut != FINISHED);
         begun.sort_by_key(|event| event.end);
         let sure = begun.iter().take_while(|event| event.end < covered).count();
         (begun, sure)
