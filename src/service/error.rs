@@ -84,6 +84,10 @@ pub struct ServiceError {
 }
 
 impl ServiceError {
+    /// What is said once a write of the store has failed.
+    pub(crate) const NO_MORE_WRITES: &str = "the store takes no writes since one failed; reads go on, and the server needs a \
+        restart when the cause, such as a full disk, is gone";
+
     /// A failure without a field.
     #[must_use]
     pub fn new(kind: ErrorKind, detail: impl Into<String>) -> Self {

@@ -433,7 +433,12 @@ fn store_error(doing: &str, error: &StoreError) -> ServiceError {
             tracing::error!(%error, "could not {doing}");
             ServiceError::new(ErrorKind::Internal, format!("the server failed to {doing}"))
         }
-        StoreError::Locked { .. } | StoreError::NoStore { .. } | StoreError::FailStop(_) | StoreError::Io { .. } => {
+        StoreError::FailStop(_) => {
+            tracing::error!(%error, "could not {doing}");
+            let detail = format!("the store could not {doing}: {}", ServiceError::NO_MORE_WRITES);
+            ServiceError::new(ErrorKind::StoreFailed, detail)
+        }
+        StoreError::Locked { .. } | StoreError::NoStore { .. } | StoreError::Io { .. } => {
             tracing::error!(%error, "could not {doing}");
             ServiceError::new(ErrorKind::StoreFailed, format!("the store could not {doing}"))
         }

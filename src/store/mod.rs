@@ -10,6 +10,7 @@ mod checks;
 mod config_record;
 mod durability;
 mod groups;
+mod kept;
 mod keys;
 mod map_file;
 mod mark;

@@ -7,6 +7,7 @@
 
 use super::config_record::Header;
 use super::durability::{FileSyncer, Syncer};
+use super::kept::{Before, KEPT};
 use super::keys::{self, Kind};
 use super::mark::{MARK, Mark};
 use super::migrate::{STORE_FORMAT, migrate};
@@ -118,16 +119,34 @@ pub(super) fn open_directory(directory: &Path, options: SledOptions) -> Result<O
         let why = format!("its database has lost its data file {}/db; restore the directory", generation.name());
         return Err(no_store(directory, &why));
     }
-    let db = open_database(&path, options)?;
+    let before = Before::keep(directory, &path);
+    match open_existing(directory, &path, fresh, options) {
+        Ok((db, syncer, mark, last_write)) => {
+            before.opened();
+            Ok(Opened { db, generation, syncer, mark, last_write, lock })
+        }
+        Err(error) => Err(before.refused(error)),
+    }
+}
+
+/// Opens the database, and holds that it is whole: it has a header, and all that was acknowledged.
+fn open_existing(
+    directory: &Path,
+    path: &Path,
+    fresh: bool,
+    options: SledOptions,
+) -> Result<(Database, Box<dyn Syncer>, Mark, u64), StoreError> {
+    remove_unfinished_snapshots(path)?;
+    let db = open_database(path, options)?;
     // Opening may have written: the log's tail is cleared, a snapshot file renamed.
-    sync_database(&path)?;
-    check_header(directory, &path, &db)?;
+    sync_database(path)?;
+    check_header(directory, path, &db)?;
     let last_write = last_write(&db)?;
     let mark = check_mark(directory, last_write, fresh)?;
     sync_directory(directory)?;
     let data = path.join("db");
     let syncer = File::open(&data).map_err(|source| io(&data, "opening", source))?;
-    Ok(Opened { db, generation, syncer: Box::new(FileSyncer(syncer)), mark, last_write, lock })
+    Ok((db, Box::new(FileSyncer(syncer)), mark, last_write))
 }
 
 pub(super) fn io(path: &Path, doing: &str, source: std::io::Error) -> StoreError {
@@ -209,7 +228,7 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     for entry in fs::read_dir(directory).map_err(|source| io(directory, "reading", source))? {
         let name = entry.map_err(|source| io(directory, "reading", source))?.file_name();
         let name = name.to_string_lossy();
-        let telling = [MARK, CURRENT, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
+        let telling = [MARK, CURRENT, KEPT, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
         if telling || (name.starts_with(DATABASE) && name != CREATING) {
             return Err(no_store(
                 directory,
@@ -243,6 +262,22 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     fs::rename(&creating, &path).map_err(|source| io(&creating, "renaming", source))?;
     sync_directory(directory)?;
     tracing::info!(directory = %directory.display(), format = STORE_FORMAT, "created an empty store");
+    Ok(())
+}
+
+/// sled takes a snapshot of its page table when it opens, as `snap.N.generating`, and renames it when it is whole. What an
+/// opening that was cut off has left of one would be taken for the newest snapshot, and refused as damaged. The one
+/// before it is still there, or the whole log.
+fn remove_unfinished_snapshots(path: &Path) -> Result<(), StoreError> {
+    for entry in fs::read_dir(path).map_err(|source| io(path, "reading", source))? {
+        let name = entry.map_err(|source| io(path, "reading", source))?.file_name();
+        let text = name.to_string_lossy();
+        if text.starts_with("snap.") && text.ends_with(".generating") {
+            let unfinished = path.join(&name);
+            fs::remove_file(&unfinished).map_err(|source| io(&unfinished, "removing", source))?;
+            tracing::warn!(file = %unfinished.display(), "removed what an opening that was cut off had left");
+        }
+    }
     Ok(())
 }
 

@@ -53,7 +53,7 @@ impl Records {
             return Ok(before.clone());
         }
         let db = self.db();
-        guarded("reading a record", || db.get(key))
+        guarded("reading a record", || db.get(key)).map_err(|error| at(&keys::describe(key), error))
     }
 
     /// Every record whose key begins so, as it was last durable. Its map must be held, but for checks.
@@ -65,7 +65,16 @@ impl Records {
         };
         let db = self.db();
         let mut records = db.scan_prefix(prefix);
-        while let Some((key, value)) = guarded("reading records", || records.next().transpose())? {
+        let mut last = None;
+        let read = |error, last: &Option<IVec>| match (last, keys::map_of(prefix)) {
+            (Some(last), _) => at(&format!("after {}", keys::describe(last)), error),
+            (None, Some(id)) => at(&format!("map {}, its first records", id.0), error),
+            (None, None) => error,
+        };
+        while let Some((key, value)) =
+            guarded("reading records", || records.next().transpose()).map_err(|error| read(error, &last))?
+        {
+            last = Some(key.clone());
             if !undone.contains_key(key.as_ref()) {
                 visit(&key, &value)?;
             }
@@ -117,6 +126,15 @@ impl Records {
             }
         }
         Ok(windows)
+    }
+}
+
+/// What sled says of a file, said of what was looked for in it.
+fn at(place: &str, error: StoreError) -> StoreError {
+    match error {
+        StoreError::Damaged { what } => StoreError::Damaged { what: format!("{place}: {what}") },
+        StoreError::Io { what, source } => StoreError::Io { what: format!("{place}: {what}"), source },
+        other => other,
     }
 }
 

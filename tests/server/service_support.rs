@@ -258,20 +258,25 @@ pub fn applied(config: &MapConfig, scans: &[ScanInput]) -> OccupancyTree {
     let mut tree = OccupancyTree::new(config.grid().depth(), config.scale());
     let mut surveyor = Surveyor::new();
     for scan in scans {
-        let pose = scan.pose.unwrap();
-        let spec = ScanSpec {
-            pose: PoseBox::new(pose.x, pose.y, pose.theta, &PoseLimits::default()).unwrap(),
-            angles: scan.angles.clone(),
-            ranges: scan.ranges.clone(),
-            footprint_radius: scan.footprint_radius,
-            sweep_rotation: scan.sweep_rotation,
-            sweep_translation: scan.sweep_translation,
-        };
-        let name = if scan.sensor.is_empty() { "default" } else { &scan.sensor };
-        let scan = Scan::new(spec, config.sensors()[name], &ScanLimits::default()).unwrap();
-        tree.apply(&surveyor.survey(config, &scan), &mut Vec::new());
+        applied_to(&mut tree, &mut surveyor, config, scan);
     }
     tree
+}
+
+/// Applies one more scan, without a service.
+pub fn applied_to(tree: &mut OccupancyTree, surveyor: &mut Surveyor, config: &MapConfig, scan: &ScanInput) {
+    let pose = scan.pose.unwrap();
+    let spec = ScanSpec {
+        pose: PoseBox::new(pose.x, pose.y, pose.theta, &PoseLimits::default()).unwrap(),
+        angles: scan.angles.clone(),
+        ranges: scan.ranges.clone(),
+        footprint_radius: scan.footprint_radius,
+        sweep_rotation: scan.sweep_rotation,
+        sweep_translation: scan.sweep_translation,
+    };
+    let name = if scan.sensor.is_empty() { "default" } else { &scan.sensor };
+    let scan = Scan::new(spec, config.sensors()[name], &ScanLimits::default()).unwrap();
+    tree.apply(&surveyor.survey(config, &scan), &mut Vec::new());
 }
 
 /// The leaves of a whole tree.

@@ -303,3 +303,17 @@ fn writes_that_sled_drops_in_silence_are_missed() {
     }
     assert!(missed > 20, "{missed} losses of 60 flips were seen as losses");
 }
+
+/// sled takes the newest of its files `snap.*` for its snapshot, also one that it had only begun to write.
+#[test]
+fn an_opening_that_was_cut_off_while_sled_wrote_a_snapshot_kept_the_store_shut() {
+    for left in [&b""[..], b"half of one"] {
+        let directory = tempfile::tempdir().unwrap();
+        let (_, b, of_b) = two_maps(directory.path());
+        let unfinished = directory.path().join("sled/snap.00000000FFFFFFFF.generating");
+        std::fs::write(&unfinished, left).unwrap();
+        let store = open(directory.path()).unwrap();
+        assert_same(&store.load(b).unwrap(), &of_b);
+        assert!(!unfinished.exists());
+    }
+}

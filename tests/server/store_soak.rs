@@ -24,7 +24,7 @@ struct Writer {
 impl Writer {
     fn new(number: u64, maps: u64, store: &SledStore, twin: &MemoryStore) -> Self {
         let make = |n: u64| {
-            let map_config = config(12, if n % 2 == 0 { 10 } else { 200 }, 1);
+            let map_config = config(12, if n.is_multiple_of(2) { 10 } else { 200 }, 1);
             let label = format!("w{number}-{n}");
             let id = store.create(&name(&label), &map_config, 1.5e9).unwrap();
             let of_twin = twin.create(&name(&label), &map_config, 1.5e9).unwrap();
@@ -44,7 +44,7 @@ impl Writer {
         }
         self.rounds += 1;
         let mut commits = self.kept.len() as u64;
-        if self.rounds % shrink_every == 0 {
+        if self.rounds.is_multiple_of(shrink_every) {
             let (gone, _) = fill(store, &format!("gone-{}", self.number), config(12, 255, 1), self.rounds, 40);
             store.delete(gone).unwrap();
             commits += 40;

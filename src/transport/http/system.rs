@@ -2,7 +2,7 @@
 
 use super::params::no_params;
 use super::{App, HttpError, respond};
-use crate::service::ErrorKind;
+use crate::service::{ErrorKind, ServiceError};
 use axum::body::Bytes;
 use axum::extract::{Request, State};
 use axum::http::{Method, Uri};
@@ -48,7 +48,7 @@ pub async fn readyz(State(app): State<App>) -> Result<Response, HttpError> {
         return Err(HttpError::new(ErrorKind::ShuttingDown, "the server is draining"));
     }
     if !app.service.is_ready() {
-        return Err(HttpError::new(ErrorKind::StoreFailed, "the service takes no writes"));
+        return Err(HttpError::new(ErrorKind::StoreFailed, ServiceError::NO_MORE_WRITES));
     }
     if !(app.outside.reachable)() {
         return Err(HttpError::new(ErrorKind::Timeout, "the server does not reach itself over Zenoh"));

@@ -288,7 +288,7 @@ fn health(context: &Context) -> Result<Reply, ServiceError> {
         return Err(super::door::ending());
     }
     if !context.service.is_ready() {
-        return Err(ServiceError::new(ErrorKind::StoreFailed, "the service takes no writes"));
+        return Err(ServiceError::new(ErrorKind::StoreFailed, ServiceError::NO_MORE_WRITES));
     }
     Ok(Reply::empty())
 }
