@@ -8,6 +8,7 @@ mod block_codec;
 mod bytes;
 mod checks;
 mod config_record;
+mod copies;
 mod durability;
 mod groups;
 mod kept;
@@ -329,6 +330,16 @@ pub trait MapStore: Send + Sync + 'static {
     fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
         let _ = id;
         Err(StoreError::NoSnapshot(name.clone()))
+    }
+
+    /// Writes a snapshot as a map file beside the store, in place of the map's one before: what is left when the store itself
+    /// cannot be opened. A store that cannot lose its database alone does nothing.
+    ///
+    /// # Errors
+    /// [`StoreError::NoSnapshot`] and failures; the file before stays.
+    fn keep_copy(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        let _ = (id, name);
+        Ok(())
     }
 
     /// Why the store takes no more writes; `None` while it does.

@@ -6,6 +6,7 @@
 //! never half made.
 
 use super::config_record::Header;
+use super::copies::COPIES;
 use super::durability::{FileSyncer, Syncer};
 use super::kept::{Before, KEPT};
 use super::keys::{self, Kind};
@@ -228,7 +229,8 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
     for entry in fs::read_dir(directory).map_err(|source| io(directory, "reading", source))? {
         let name = entry.map_err(|source| io(directory, "reading", source))?.file_name();
         let name = name.to_string_lossy();
-        let telling = [MARK, CURRENT, KEPT, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
+        let telling =
+            [MARK, CURRENT, KEPT, COPIES, "db", "conf", "blobs"].contains(&&*name) || name.starts_with("snap.");
         if telling || (name.starts_with(DATABASE) && name != CREATING) {
             return Err(no_store(
                 directory,

@@ -6,6 +6,7 @@
 use super::block_codec::BlockCodec;
 use super::checks::check_commit;
 use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor};
+use super::copies;
 use super::durability::Syncer;
 use super::keys::{self, Kind};
 use super::record;
@@ -86,6 +87,14 @@ impl SledStore {
     /// # Errors
     /// As [`SledStore::open`].
     pub fn open_with(
+        directory: &Path,
+        options: SledOptions,
+        wrap: impl Fn(Box<dyn Syncer>) -> Box<dyn Syncer> + Send + Sync + 'static,
+    ) -> Result<Self, StoreError> {
+        Self::opened(directory, options, wrap).map_err(|error| copies::offer(directory, error))
+    }
+
+    fn opened(
         directory: &Path,
         options: SledOptions,
         wrap: impl Fn(Box<dyn Syncer>) -> Box<dyn Syncer> + Send + Sync + 'static,
@@ -365,7 +374,7 @@ impl MapStore for SledStore {
         };
         let _held = lock(&busy);
         let mut changes = Vec::new();
-        changes.extend(name.map(|name| self.change(keys::name(name.as_str()), None)).transpose()?);
+        changes.extend(name.as_ref().map(|name| self.change(keys::name(name.as_str()), None)).transpose()?);
         changes.push(self.change(keys::of_map(Kind::Map, id), None)?);
         changes.push(self.change(keys::of_map(Kind::State, id), None)?);
         changes.push(self.put(keys::of_map(Kind::Tombstone, id), 0, &[])?);
@@ -374,6 +383,10 @@ impl MapStore for SledStore {
         catalogue.maps.remove(&id);
         catalogue.damaged.retain(|damage| damage.id != Some(id));
         drop(catalogue);
+        // While creation is held: it is not that of a later map of the name.
+        if let Some(name) = name {
+            copies::remove(&self.directory, &name);
+        }
         drop(creation);
         if let Err(error) = self.purge(id) {
             // The map is deleted: the rest goes when the store is opened next.
@@ -459,6 +472,14 @@ impl MapStore for SledStore {
 
     fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
         self.difference_to(id, name)
+    }
+
+    fn keep_copy(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        let map = self.read_snapshot(id, name)?;
+        // Its deletion waits until the copy is there, and then removes it.
+        let _deletion = lock(&self.next_map);
+        let StoredMap { name, config, .. } = self.entry(id)?.stored;
+        copies::keep(&self.directory, &name, &config, &map)
     }
 
     fn failure(&self) -> Option<String> {

@@ -52,6 +52,7 @@ mod store_model;
 mod store_names;
 mod store_paging;
 mod store_rewrite;
+mod store_snapshots;
 mod store_soak;
 mod store_suite;
 mod store_support;

@@ -314,6 +314,13 @@ fn assert_shows(store: &dyn MapStore, model: &Model, after: &Op) {
     assert_eq!(&shown(store), model, "after {after:?}");
 }
 
+/// So many runs, or `PROPTEST_CASES`.
+fn cases(usual: u32) -> ProptestConfig {
+    let config = ProptestConfig::default();
+    let cases = if std::env::var_os("PROPTEST_CASES").is_some() { config.cases } else { usual };
+    ProptestConfig { cases, ..config }
+}
+
 fn run(store: &dyn MapStore, model: &mut Model, op: &Op) {
     let outcome = perform(store, model, op);
     match expected(model, op) {
@@ -326,7 +333,7 @@ fn run(store: &dyn MapStore, model: &mut Model, op: &Op) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 128, ..ProptestConfig::default() })]
+    #![proptest_config(cases(128))]
 
     #[test]
     fn the_store_in_memory_does_what_the_model_does(ops in ops()) {
@@ -339,7 +346,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
+    #![proptest_config(cases(32))]
 
     #[test]
     fn the_store_on_disk_does_what_the_model_does_through_reboots_crashes_and_failures(ops in ops()) {
