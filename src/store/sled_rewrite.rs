@@ -23,6 +23,9 @@ const ROUNDS: usize = 20;
 /// So few records are left for when writers are held off.
 const FEW: usize = 256;
 
+/// After rewrites in vain the next one waits for at most so many checks.
+const MOST_CHECKS: u32 = 256;
+
 /// How long a rewrite waits for the last reader of the old database; after that the next check removes it.
 const READERS_PATIENCE: Duration = Duration::from_secs(1);
 
@@ -103,8 +106,30 @@ struct Known {
     statistics: StoreStatistics,
     /// Bytes of keys and values, less what they had grown by when they were counted.
     base: Option<i64>,
-    /// The size after a rewrite that did not bring it below the limit.
-    in_vain: Option<u64>,
+    /// After rewrites that did not bring it below the limit.
+    in_vain: Option<InVain>,
+}
+
+/// Rewrites in a row that did not bring the size below the limit: the next one waits until the files have grown by half, or
+/// for ever more checks.
+#[derive(Debug, Clone, Copy)]
+struct InVain {
+    after_bytes: u64,
+    checks: u32,
+    wait: u32,
+}
+
+impl InVain {
+    fn after(before: Option<Self>, after_bytes: u64) -> Self {
+        let wait = before.map_or(1, |before| before.wait).saturating_mul(2).min(MOST_CHECKS);
+        Self { after_bytes, checks: 0, wait }
+    }
+
+    /// True when another rewrite is due; called at each check.
+    fn is_over(&mut self, bytes: u64) -> bool {
+        self.checks += 1;
+        self.checks > self.wait || bytes > self.after_bytes.saturating_add(self.after_bytes / 2)
+    }
 }
 
 /// The copy, before it becomes the store.
@@ -161,8 +186,10 @@ impl Rewriter {
             Ok(held) => held,
             Err(error) => {
                 // After a failed write `current` may name it.
-                if self.writes.failure().is_none() {
-                    remove_directory(&path)?;
+                if self.writes.failure().is_none()
+                    && let Err(left) = remove_directory(&path)
+                {
+                    tracing::warn!("a rewrite was given up, and what it made is left: {left}");
                 }
                 return Err(error);
             }
@@ -320,8 +347,8 @@ impl Rewriter {
         known.statistics.live_bytes = Some(live);
         known.statistics.disk_bytes = self.size(&self.directory)?;
         let over = of_database > self.options.rewrite.limit(live);
-        let grown_since = known.in_vain.is_none_or(|after| of_database > after.saturating_add(after / 2));
-        Ok(over && grown_since && self.writes.failure().is_none())
+        let again = known.in_vain.as_mut().is_none_or(|in_vain| in_vain.is_over(of_database));
+        Ok(over && again && self.writes.failure().is_none())
     }
 
     /// Rewrites the database because it is over its limit.
@@ -330,7 +357,7 @@ impl Rewriter {
         let done = self.rewrite(watch).inspect_err(|_| lock(&self.known).statistics.failed_rewrites += 1)?;
         let mut known = lock(&self.known);
         let limit = self.options.rewrite.limit(done.live_bytes);
-        known.in_vain = (done.after_bytes > limit).then_some(done.after_bytes);
+        known.in_vain = (done.after_bytes > limit).then(|| InVain::after(known.in_vain, done.after_bytes));
         tracing::info!(
             records = done.records,
             live_bytes = done.live_bytes,

@@ -3,11 +3,13 @@
 //! `UBBMAP_SOAK_SECONDS=3600 cargo test --release --test server long_soak -- --ignored --nocapture` prints a line a minute.
 
 use crate::store_rewrite::wait_until;
-use crate::store_support::{Model, assert_same, config, fill, name};
+use crate::store_support::{Model, assert_same, config, name};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-use ubbmap::store::{MapId, MapStore, MemoryStore, RewriteOptions, SledOptions, SledStore, StoreStatistics};
+use ubbmap::quadtree::{Block, BlockAddress, BlockView};
+use ubbmap::store::{Commit, MapId, MapStore, MemoryStore, RewriteOptions, SledOptions, SledStore, StoreStatistics};
 
 /// Threads that write, each to maps of its own.
 const WRITERS: u64 = 3;
@@ -34,7 +36,7 @@ impl Writer {
     }
 
     /// A commit to every map, the same to the twin, and now and then a map that comes and goes; how many commits.
-    fn round(&mut self, store: &SledStore, twin: &MemoryStore, shrink_every: u64) -> u64 {
+    fn round(&mut self, store: &SledStore, twin: &MemoryStore, gone: Gone) -> u64 {
         for (id, of_twin, model) in &mut self.kept {
             let commit = model.step(8);
             let start = Instant::now();
@@ -44,10 +46,8 @@ impl Writer {
         }
         self.rounds += 1;
         let mut commits = self.kept.len() as u64;
-        if self.rounds.is_multiple_of(shrink_every) {
-            let (gone, _) = fill(store, &format!("gone-{}", self.number), config(12, 255, 1), self.rounds, 40);
-            store.delete(gone).unwrap();
-            commits += 40;
+        if self.rounds.is_multiple_of(gone.every) {
+            commits += gone.come_and_go(&format!("gone-{}", self.number), store);
         }
         commits
     }
@@ -58,6 +58,35 @@ impl Writer {
             assert_same(&found, &twin.load(*of_twin).unwrap());
             assert_same(&found, &model.loaded());
         }
+    }
+}
+
+/// Maps that come and go.
+#[derive(Clone, Copy)]
+struct Gone {
+    /// One a writer after so many of its rounds.
+    every: u64,
+    /// Of so many blocks, 4 KB each.
+    blocks: u32,
+}
+
+impl Gone {
+    /// Makes a map, fills it and deletes it; how many commits that took.
+    fn come_and_go(self, map: &str, store: &SledStore) -> u64 {
+        let id = store.create(&name(map), &config(12, 255, 1), 1.5e9).unwrap();
+        let mut leaves = Box::new([1; 64 * 64]);
+        for (index, class) in leaves.iter_mut().enumerate() {
+            *class = (index % 255) as u8 + 1;
+        }
+        let full = BlockView::Mixed(Arc::new(Block::from_leaves(leaves)));
+        let blocks: Vec<_> = (0..self.blocks).map(|n| (BlockAddress { x: n % 64, y: n / 64 }, full.clone())).collect();
+        let mut revision = 0;
+        for blocks in blocks.chunks(60) {
+            revision += 1;
+            store.commit(id, &Commit { revision, blocks: blocks.to_vec(), windows: Vec::new() }).unwrap();
+        }
+        store.delete(id).unwrap();
+        revision
     }
 }
 
@@ -72,7 +101,7 @@ struct Soaked {
 fn soak(
     directory: &Path,
     options: SledOptions,
-    maps: u64,
+    (maps, gone): (u64, Gone),
     enough: &(dyn Fn(u64, &StoreStatistics) -> bool + Sync),
     told: &mut dyn FnMut(u64, u64, &AtomicU64, &StoreStatistics),
 ) -> Soaked {
@@ -84,7 +113,7 @@ fn soak(
         for writer in &mut writers {
             scope.spawn(|| {
                 while !done.load(Ordering::SeqCst) {
-                    commits.fetch_add(writer.round(&store, &twin, 25), Ordering::SeqCst);
+                    commits.fetch_add(writer.round(&store, &twin, gone), Ordering::SeqCst);
                     longest.fetch_max(std::mem::take(&mut writer.longest), Ordering::SeqCst);
                 }
             });
@@ -129,8 +158,8 @@ fn a_store_that_is_rewritten_again_and_again_while_it_is_written_to_holds_what_i
     let soaked = soak(
         directory.path(),
         options,
-        2,
-        &|commits, seen| commits >= 3000 && seen.rewrites >= 5,
+        (2, Gone { every: 25, blocks: 150 }),
+        &|commits, seen| commits >= 3000 && seen.rewrites >= 5 || seen.failed_rewrites > 0,
         &mut |_, _, _, _| (),
     );
     assert_eq!(soaked.last.failed_rewrites, 0);
@@ -179,7 +208,13 @@ fn long_soak() {
         before = commits;
         next += every;
     };
-    let soaked = soak(directory.path(), options, 60, &|_, _| start.elapsed() >= length, &mut told);
+    let soaked = soak(
+        directory.path(),
+        options,
+        (60, Gone { every: 300, blocks: 3000 }),
+        &|_, _| start.elapsed() >= length,
+        &mut told,
+    );
     println!(
         "{} commits, at most {:.1} MB on disk, {:?}",
         soaked.commits,
