@@ -11,6 +11,8 @@ mod options;
 mod output;
 mod replay;
 mod serve;
+mod snapshots;
+mod transfer;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use output::Failure;

@@ -4,6 +4,7 @@
 
 mod cli_build;
 mod cli_experiment;
+mod cli_files;
 mod cli_picture;
 mod cli_server;
 mod cli_support;
