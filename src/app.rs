@@ -114,11 +114,14 @@ impl Server {
         let door = Door::new(DoorSettings {
             requests: limits.requests,
             streams: limits.streams,
+            transfers: limits.transfers,
             request_timeout: seconds(limits.request_seconds),
+            transfer_timeout: seconds(limits.transfer_seconds),
         });
         let settings = HttpSettings {
             body_bytes: limits.body_bytes,
             config_bytes: limits.config_bytes,
+            import_bytes: limits.import_bytes,
             scans_per_stream: limits.scans_per_stream,
         };
         let failed = |source| AppError::Listen { address: config.listen, source };
@@ -138,7 +141,11 @@ impl Server {
             reachable: Box::new(move || reached.as_ref().is_none_or(Reachable::now)),
         };
         let rest = http::router(service.clone(), settings, door.clone(), outside);
-        let settings = GrpcSettings { message_bytes: limits.body_bytes, scans_per_stream: limits.scans_per_stream };
+        let settings = GrpcSettings {
+            message_bytes: limits.body_bytes,
+            import_bytes: limits.import_bytes,
+            scans_per_stream: limits.scans_per_stream,
+        };
         let rpc = grpc::router(service.clone(), settings, door.clone()).map_err(AppError::Reflection)?;
         let router = rest.merge(rpc);
         let serve_limits = ServeLimits {

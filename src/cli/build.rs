@@ -2,7 +2,7 @@
 
 use super::mapper::{BATCH, Mapper};
 use super::options::{MapOptions, SENSOR, SensorOptions, map_config, rule_name};
-use super::output::{Failure, Progress, causes, say, say_json};
+use super::output::{Failure, Progress, causes, say, say_json, write_whole};
 use crate::logs::{LogReader, LogScan, PoseError};
 use crate::picture::{Picture, known_range};
 use crate::quadtree::{LeafRange, TreeStatistics};
@@ -12,8 +12,6 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufWriter;
 use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -342,22 +340,8 @@ fn same_file(a: &Path, b: &Path) -> bool {
     identity(a).is_some_and(|a| identity(b) == Some(a))
 }
 
-/// Writes the map file beside its place and moves it there, so that a file of this name is always whole; returns its
-/// size.
+/// Writes the map file; returns its size.
 fn write_map(path: &Path, mapper: &Mapper) -> anyhow::Result<u64> {
     let map = LoadedMap { revision: mapper.scans(), tree: mapper.tree().clone(), windows: BTreeMap::new() };
-    let mut name = path.file_name().context("it has no file name")?.to_owned();
-    name.push(".partial");
-    let partial = path.with_file_name(name);
-    let mut file = BufWriter::new(File::create(&partial)?);
-    let written = write_map_file(&mut file, mapper.config(), &map)
-        .map_err(anyhow::Error::from)
-        .and_then(|()| Ok(file.into_inner().map_err(std::io::IntoInnerError::into_error)?))
-        .and_then(|file| Ok((file.metadata()?.len(), file.sync_all()?)))
-        .and_then(|(bytes, ())| std::fs::rename(&partial, path).map(|()| bytes).map_err(anyhow::Error::from));
-    if written.is_err() {
-        // What is left of the attempt is of no use; the first error is the one to tell.
-        let _ = std::fs::remove_file(&partial);
-    }
-    written
+    write_whole(path, |file| Ok(write_map_file(file, mapper.config(), &map)?))
 }

@@ -2,7 +2,7 @@
 
 use super::output::Failure;
 use crate::mapping::MapConfig;
-use crate::store::MapName;
+use crate::store::{MapName, SnapshotName};
 use crate::transport::http::Problem;
 use crate::wire::{to_wire_config, v1};
 use clap::Args;
@@ -28,6 +28,9 @@ const LEAST_SIMILARITY: f64 = 0.7;
 const FIRST_PAUSE: Duration = Duration::from_millis(50);
 
 const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+/// An answer as it comes.
+pub(super) type Answer = ureq::http::Response<ureq::Body>;
 
 /// Which server is asked.
 #[derive(Debug, Clone, Args)]
@@ -163,19 +166,28 @@ impl Client {
     pub(super) fn explain(&self, map: &MapName, error: ClientError) -> Failure {
         if error.is("MAP_NOT_FOUND") {
             let known = self.maps().map(|list| list.maps).unwrap_or_default();
-            let nearest = known
-                .iter()
-                .map(|known| (strsim::jaro_winkler(&known.name, map.as_str()), known.name.as_str()))
-                .filter(|(similarity, _)| *similarity >= LEAST_SIMILARITY)
-                .max_by(|a, b| a.0.total_cmp(&b.0));
-            let hint = match nearest {
-                Some((_, name)) => format!("did you mean '{name}'?"),
+            let hint = match nearest(known.iter().map(|known| known.name.as_str()), map.as_str()) {
+                Some(name) => format!("did you mean '{name}'?"),
                 None if known.is_empty() => "the server has no maps yet".to_owned(),
                 None => "`ubbmap map list` shows those there are".to_owned(),
             };
             return Failure::Failed(anyhow::anyhow!("no map '{map}'; {hint}"));
         }
         Failure::Failed(error.into())
+    }
+
+    /// The same of a request about a snapshot; an unknown one comes with the nearest known.
+    pub(super) fn explain_snapshot(&self, map: &MapName, name: &SnapshotName, error: ClientError) -> Failure {
+        if !error.is("SNAPSHOT_NOT_FOUND") {
+            return self.explain(map, error);
+        }
+        let known = self.snapshots(map).map(|list| list.snapshots).unwrap_or_default();
+        let hint = match nearest(known.iter().map(|known| known.name.as_str()), name.as_str()) {
+            Some(name) => format!("did you mean '{name}'?"),
+            None if known.is_empty() => "the map has no snapshots".to_owned(),
+            None => format!("`ubbmap map snapshots {map}` shows those there are"),
+        };
+        Failure::Failed(anyhow::anyhow!("no snapshot '{name}'; {hint}"))
     }
 
     /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`.
@@ -201,6 +213,39 @@ impl Client {
         }
     }
 
+    /// Keeps a map's last revision under a name.
+    pub(super) fn take_snapshot(
+        &self,
+        map: &MapName,
+        name: &SnapshotName,
+    ) -> Result<v1::CreateSnapshotResponse, ClientError> {
+        let request = v1::CreateSnapshotRequest { map: map.as_str().to_owned(), name: name.to_string() };
+        self.call("POST", &format!("/v1/maps/{map}/snapshots"), Some(request.encode_to_vec()))
+    }
+
+    /// Lists the snapshots of a map.
+    pub(super) fn snapshots(&self, map: &MapName) -> Result<v1::ListSnapshotsResponse, ClientError> {
+        self.call("GET", &format!("/v1/maps/{map}/snapshots"), None)
+    }
+
+    /// Makes a snapshot's content the map's.
+    pub(super) fn restore(
+        &self,
+        map: &MapName,
+        name: &SnapshotName,
+    ) -> Result<v1::RestoreSnapshotResponse, ClientError> {
+        self.call("POST", &format!("/v1/maps/{map}/snapshots/{name}/restore"), None)
+    }
+
+    /// Removes a snapshot.
+    pub(super) fn delete_snapshot(
+        &self,
+        map: &MapName,
+        name: &SnapshotName,
+    ) -> Result<v1::DeleteSnapshotResponse, ClientError> {
+        self.call("DELETE", &format!("/v1/maps/{map}/snapshots/{name}"), None)
+    }
+
     fn call<T: Message + Default>(&self, method: &str, path: &str, body: Option<Vec<u8>>) -> Result<T, ClientError> {
         let bytes = self.exchange(method, path, body)?;
         T::decode(bytes.as_slice())
@@ -208,24 +253,35 @@ impl Client {
     }
 
     fn exchange(&self, method: &str, path: &str, body: Option<Vec<u8>>) -> Result<Vec<u8>, ClientError> {
-        let mut request = ureq::http::Request::builder()
-            .method(method)
-            .uri(format!("{}{path}", self.server))
-            .header("accept", format!("{PROTOBUF}, application/problem+json"));
-        if let Some(token) = &self.token {
-            request = request.header("authorization", format!("Bearer {token}"));
-        }
-        let unreachable = |why: &dyn std::fmt::Display| ClientError::Unreachable {
-            server: self.server.clone(),
-            why: why.to_string(),
-        };
+        let request = self.head(method, path).header("accept", format!("{PROTOBUF}, application/problem+json"));
         let answer = match body {
             Some(body) => {
-                self.agent.run(request.header("content-type", PROTOBUF).body(body).map_err(|e| unreachable(&e))?)
+                self.agent.run(request.header("content-type", PROTOBUF).body(body).map_err(|e| self.unreachable(&e))?)
             }
-            None => self.agent.run(request.body(()).map_err(|e| unreachable(&e))?),
+            None => self.agent.run(request.body(()).map_err(|e| self.unreachable(&e))?),
         };
-        let mut answer = answer.map_err(|error| unreachable(&error))?;
+        self.answered(path, answer.map_err(|error| self.unreachable(&error))?)
+    }
+
+    /// The head of a request, with what every request has.
+    pub(super) fn head(&self, method: &str, path: &str) -> ureq::http::request::Builder {
+        let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.server));
+        match &self.token {
+            Some(token) => request.header("authorization", format!("Bearer {token}")),
+            None => request,
+        }
+    }
+
+    pub(super) fn agent(&self) -> &ureq::Agent {
+        &self.agent
+    }
+
+    pub(super) fn unreachable(&self, why: &dyn std::fmt::Display) -> ClientError {
+        ClientError::Unreachable { server: self.server.clone(), why: why.to_string() }
+    }
+
+    /// The bytes of an answer, or the error that it tells.
+    pub(super) fn answered(&self, path: &str, mut answer: Answer) -> Result<Vec<u8>, ClientError> {
         let status = answer.status().as_u16();
         let retry_after = answer
             .headers()
@@ -237,7 +293,7 @@ impl Client {
             .with_config()
             .limit(MAX_ANSWER_BYTES)
             .read_to_vec()
-            .map_err(|error| unreachable(&error))?;
+            .map_err(|error| self.unreachable(&error))?;
         if (200..300).contains(&status) {
             return Ok(bytes);
         }
@@ -257,10 +313,27 @@ impl Client {
     }
 }
 
+/// The known name that is nearest to a wrong one, if any is near.
+fn nearest<'a>(known: impl Iterator<Item = &'a str>, wrong: &str) -> Option<&'a str> {
+    known
+        .map(|known| (strsim::jaro_winkler(known, wrong), known))
+        .filter(|(similarity, _)| *similarity >= LEAST_SIMILARITY)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, name)| name)
+}
+
 /// Checks a map's name from the command line.
 ///
 /// # Errors
 /// The rule that it breaks.
 pub(super) fn map_name(text: &str) -> Result<MapName, String> {
     MapName::new(text).map_err(|error| error.to_string())
+}
+
+/// Checks a snapshot's name from the command line.
+///
+/// # Errors
+/// The rule that it breaks.
+pub(super) fn snapshot_name(text: &str) -> Result<SnapshotName, String> {
+    SnapshotName::new(text).map_err(|error| error.to_string())
 }

@@ -1,14 +1,16 @@
-//! `ubbmap map`: maps of a server.
+//! `ubbmap map`: maps of a server. Snapshots and files have modules of their own.
 
 use super::client::{Client, ServerOptions, map_name};
 use super::options::{MapOptions, SensorOptions, map_config};
-use super::output::{Failure, note, say, say_json};
+use super::output::{Failure, note, say, say_json, time_text};
+use super::snapshots::{OneSnapshot, Snapshots};
+use super::transfer::{EXPORT_HELP, Export, Import};
 use crate::logs::LogSensor;
 use crate::store::MapName;
 use crate::wire::v1;
 use clap::{Args, Subcommand};
 
-/// Creates, lists, shows and deletes maps of a server.
+/// Creates, lists, shows, keeps, exports, imports and deletes maps of a server.
 #[derive(Debug, Args)]
 #[command(arg_required_else_help = true)]
 #[command(
@@ -31,6 +33,24 @@ enum Action {
     /// Shows a map's configuration, revision and robots
     #[command(after_help = "Example:\n  ubbmap map show hall --json")]
     Show(Named),
+    /// Keeps the map as it is now under a name
+    #[command(after_help = "Example:\n  ubbmap map snapshot hall before-the-move")]
+    Snapshot(OneSnapshot),
+    /// Lists the snapshots of a map
+    #[command(after_help = "Example:\n  ubbmap map snapshots hall")]
+    Snapshots(Snapshots),
+    /// Makes a snapshot's content the map's, as a new revision
+    #[command(after_help = "Example:\n  ubbmap map restore hall before-the-move")]
+    Restore(OneSnapshot),
+    /// Removes a snapshot; the map stays as it is
+    #[command(after_help = "Example:\n  ubbmap map delete-snapshot hall before-the-move")]
+    DeleteSnapshot(OneSnapshot),
+    /// Writes a map to a file: a map file, or a map for Nav2
+    #[command(after_help = EXPORT_HELP)]
+    Export(Export),
+    /// Makes a new map from a map file
+    #[command(after_help = "Example:\n  ubbmap map import hall-2 hall.ubbmap")]
+    Import(Import),
     /// Deletes a map and all that belongs to it, for ever
     #[command(after_help = "Example:\n  ubbmap map delete hall")]
     Delete(Named),
@@ -81,6 +101,12 @@ impl Map {
             Action::List(list) => list.run(),
             Action::Show(named) => named.show(),
             Action::Delete(named) => named.delete(),
+            Action::Snapshot(one) => one.take(),
+            Action::Snapshots(list) => list.run(),
+            Action::Restore(one) => one.restore(),
+            Action::DeleteSnapshot(one) => one.delete(),
+            Action::Export(export) => export.run(),
+            Action::Import(import) => import.run(),
         }
     }
 }
@@ -131,6 +157,9 @@ impl Named {
         let bounds = map.bounds.unwrap_or_default();
         say(&format!("name        {}", map.name))?;
         say(&format!("revision    {}", map.revision))?;
+        if let Some(last) = map.last_change {
+            say(&format!("changed     {}", time_text(last)))?;
+        }
         say(&format!("evidence    {}", evidence_word(&config)))?;
         say(&format!(
             "resolution  {} m, depth {}",

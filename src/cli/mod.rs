@@ -11,7 +11,9 @@ mod options;
 mod output;
 mod replay;
 mod serve;
+mod snapshots;
 mod store;
+mod transfer;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use output::Failure;

@@ -1,14 +1,20 @@
 //! What a command writes, and how it ends.
 
-use std::io::{ErrorKind, IsTerminal, Write};
+use anyhow::Context;
+use std::fs::File;
+use std::io::{BufWriter, ErrorKind, IsTerminal, Write};
+use std::path::Path;
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Bad usage, as the argument parser has it too.
 const BAD_USAGE: u8 = 2;
 
 /// Bad configuration.
 const BAD_CONFIGURATION: u8 = 64;
+
+/// The year 10000, seconds since 1970: times from there on are not written as such.
+const FAR_FUTURE: u64 = 253_402_300_800;
 
 /// How often a line tells of the progress where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(5);
@@ -80,6 +86,35 @@ pub(super) fn note(text: &str) {
 /// Writes a JSON value to stdout, on one line.
 pub(super) fn say_json(value: &impl serde::Serialize) -> Result<(), Failure> {
     say(&serde_json::to_string(value)?)
+}
+
+/// Writes a file beside its place and moves it there, so that a file of this name is always whole; returns its size.
+pub(super) fn write_whole(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+) -> anyhow::Result<u64> {
+    let mut name = path.file_name().context("it has no file name")?.to_owned();
+    name.push(".partial");
+    let partial = path.with_file_name(name);
+    let mut file = BufWriter::new(File::create(&partial)?);
+    let written = write(&mut file)
+        .and_then(|()| Ok(file.into_inner().map_err(std::io::IntoInnerError::into_error)?))
+        .and_then(|file| Ok((file.metadata()?.len(), file.sync_all()?)))
+        .and_then(|(bytes, ())| std::fs::rename(&partial, path).map(|()| bytes).map_err(anyhow::Error::from));
+    if written.is_err() {
+        // What is left of the attempt is of no use; the first error is the one to tell.
+        let _ = std::fs::remove_file(&partial);
+    }
+    written
+}
+
+/// Seconds since the Unix epoch as a time of RFC 3339; as the number where it is none of our calendar.
+pub(super) fn time_text(seconds: f64) -> String {
+    let since = Duration::try_from_secs_f64(seconds).ok().filter(|since| since.as_secs() < FAR_FUTURE);
+    match since.and_then(|since| SystemTime::UNIX_EPOCH.checked_add(since)) {
+        Some(time) => humantime::format_rfc3339_seconds(time).to_string(),
+        None => format!("{seconds} s since 1970"),
+    }
 }
 
 /// Progress of long work: a bar on a terminal, a line now and then elsewhere.

@@ -85,6 +85,7 @@ impl Config {
             ("limits.pose_width", limits.pose_width, 1e6),
             ("limits.pose_heading_degrees", limits.pose_heading_degrees, 360.0),
             ("limits.request_seconds", limits.request_seconds, 86_400.0),
+            ("limits.transfer_seconds", limits.transfer_seconds, 86_400.0),
             ("limits.header_seconds", limits.header_seconds, 86_400.0),
         ];
         for (key, value, most) in numbers {
@@ -127,6 +128,7 @@ impl Config {
         let counts = [
             ("limits.body_bytes", limits.body_bytes),
             ("limits.config_bytes", limits.config_bytes),
+            ("limits.import_bytes", limits.import_bytes),
             ("limits.scans_per_request", limits.scans_per_request),
             ("limits.beams_per_scan", limits.beams_per_scan),
             ("limits.points_per_query", limits.points_per_query),
@@ -136,9 +138,11 @@ impl Config {
             ("limits.cells_per_answer", limits.cells_per_answer),
             ("limits.maps", limits.maps),
             ("limits.robots_per_map", limits.robots_per_map),
+            ("limits.snapshots", limits.snapshots),
             ("limits.connections", limits.connections),
             ("limits.requests", limits.requests),
             ("limits.streams", limits.streams),
+            ("limits.transfers", limits.transfers),
             ("limits.scans_per_stream", limits.scans_per_stream),
             ("limits.queries", limits.queries),
             ("zenoh.queue", self.zenoh.queue),

@@ -78,6 +78,8 @@ pub struct Limits {
     pub body_bytes: usize,
     /// Largest body of a map configuration, bytes.
     pub config_bytes: usize,
+    /// Largest map file that is imported, bytes.
+    pub import_bytes: usize,
     /// Most scans of one request.
     pub scans_per_request: usize,
     /// Most beams of one scan.
@@ -100,12 +102,16 @@ pub struct Limits {
     pub maps: usize,
     /// Most robots of one map that send numbered scans.
     pub robots_per_map: usize,
+    /// Most snapshots of one map.
+    pub snapshots: usize,
     /// Most connections open at once.
     pub connections: usize,
     /// Most requests worked on at once.
     pub requests: usize,
     /// Most streams of scans and watches open at once.
     pub streams: usize,
+    /// Most map files on their way to or from clients at once.
+    pub transfers: usize,
     /// Most scans of one stream that are not acknowledged yet.
     pub scans_per_stream: usize,
     /// Bytes that all scans under way and their evidence may take together.
@@ -114,6 +120,8 @@ pub struct Limits {
     pub queries: usize,
     /// Longest time for one request, seconds.
     pub request_seconds: f64,
+    /// Longest time for the transfer of one map file, seconds.
+    pub transfer_seconds: f64,
     /// Longest time for a request's head to arrive, seconds.
     pub header_seconds: f64,
 }
@@ -186,6 +194,7 @@ impl Default for Limits {
         Self {
             body_bytes: 16 << 20,
             config_bytes: 1 << 20,
+            import_bytes: 256 << 20,
             scans_per_request: 1024,
             beams_per_scan: 20_000,
             pose_width: 2.0,
@@ -197,13 +206,16 @@ impl Default for Limits {
             cells_per_answer: 16_777_216,
             maps: 10_000,
             robots_per_map: 10_000,
+            snapshots: 10_000,
             connections: 1024,
             requests: 256,
             streams: 1024,
+            transfers: 8,
             scans_per_stream: 64,
             insert_bytes: 512 << 20,
             queries: 32,
             request_seconds: 30.0,
+            transfer_seconds: 600.0,
             header_seconds: 10.0,
         }
     }
@@ -253,6 +265,8 @@ impl Config {
             max_cells: limits.cells_per_answer,
             max_maps: limits.maps,
             max_robots: limits.robots_per_map,
+            max_snapshots: limits.snapshots,
+            max_import_bytes: limits.import_bytes,
             queue_length: self.writer.queue,
             max_scans_per_commit: self.writer.scans_per_commit,
             max_changes: self.writer.changes,

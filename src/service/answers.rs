@@ -17,6 +17,9 @@ pub struct MapDescription {
     pub created: f64,
     /// The robots that sent numbered scans, by name.
     pub robots: Vec<RobotDescription>,
+    /// When a block last changed, seconds since the Unix epoch; `None` where none did, that was not kept, or the map is
+    /// one of a list.
+    pub last_change: Option<f64>,
 }
 
 /// Names a map's content for good, as an entity tag does: no two contents have the same version.
@@ -99,7 +102,7 @@ pub struct BoxQuery {
 }
 
 /// Quadtree leaves in Z-order.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct RegionAnswer {
     /// The revision read.
     pub revision: u64,
@@ -107,6 +110,12 @@ pub struct RegionAnswer {
     pub depth: u8,
     /// The leaves.
     pub leaves: Vec<Leaf>,
+    /// When the last of the blocks that meet the box changed, seconds since the Unix epoch; `None` where none did, or
+    /// where that was not kept.
+    pub last_change: Option<f64>,
+    /// The blocks that meet the box and ever changed, in Z-order and without contents; empty where they were not asked
+    /// for.
+    pub blocks: Vec<BlockChange>,
 }
 
 /// A dense raster of maximum classes.
@@ -160,7 +169,7 @@ pub struct ChangesQuery {
 }
 
 /// What changed after one revision up to another.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Changes {
     /// Everything up to this revision is in it.
     pub revision: u64,
@@ -175,12 +184,14 @@ pub struct Changes {
 }
 
 /// A node that changed: a block of 64 x 64 leaves, or a coarser one where the depth asked for is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct BlockChange {
     /// Its address.
     pub node: NodeAddress,
     /// The last revision that changed it.
     pub revision: u64,
+    /// When that was, seconds since the Unix epoch; `None` where it was not kept.
+    pub changed: Option<f64>,
     /// Its cells as they are at the answer's revision, row-major, row 0 at min_y; empty where they were not asked for.
     pub classes: Vec<Class>,
 }

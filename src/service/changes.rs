@@ -2,15 +2,17 @@
 //!
 //! The log is written before the root is published and read only up to a published revision, so whoever holds a root
 //! finds every commit up to it. A watch is nothing but a place in the log: one that is slow finds several commits put
-//! together, and one that is too slow is told to take the whole map anew.
+//! together. What the log has forgotten, also over a restart, the last changes of all blocks tell, which are kept with the
+//! root and in the store.
 
 use super::answers::{BlockChange, Changes, ChangesQuery, CommitNotice};
-use super::queries::{QueryError, Root};
+use super::failures::map_not_found;
+use super::queries::{Area, QueryError, Root};
 use super::registry::Entry;
-use super::writer::map_not_found;
+use super::stamps::{BlockBox, bare};
 use super::{MapService, ServiceError, inline, metrics};
-use crate::quadtree::{BLOCK_LEVELS, BlockAddress, LeafRange, NodeAddress};
-use crate::store::{MapId, MapName};
+use crate::quadtree::{BlockAddress, LeafRange, NodeAddress};
+use crate::store::{BlockStamp, MapId, MapName};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{broadcast, watch};
@@ -198,14 +200,29 @@ impl MapService {
         query: &ChangesQuery,
     ) -> Result<Changes, ServiceError> {
         let area = root.area(&query.area)?;
-        let blocks = entry.changes.between(since, root.published.revision);
-        let plan = Plan::new(&root, &area.leaves, area.depth, blocks.as_ref(), query.contents);
-        if plan.cells <= INLINE_CELLS
-            && let Some(answer) = inline("changes", entry.name(), || plan.read(&root.in_memory(), since))
-        {
-            return answer;
+        let contents = query.contents;
+        if let Some(blocks) = entry.changes.between(since, root.published.revision) {
+            let stamps = &root.published.stamps;
+            let blocks = blocks.into_iter().map(|(code, revision)| {
+                let block = BlockAddress::from_morton(code);
+                let changed = stamps.get(block).map_or(0.0, |stamp| stamp.changed);
+                (block, BlockStamp { revision, changed })
+            });
+            let plan = Plan::new(&root, &area, Some(blocks), contents);
+            if plan.cells <= INLINE_CELLS
+                && let Some(answer) = inline("changes", entry.name(), || plan.read(&root.in_memory(), since))
+            {
+                return answer;
+            }
+            return self.apart("changes", entry.name(), move || plan.read(&root, since)).await;
         }
-        self.apart("changes", entry.name(), move || plan.read(&root, since)).await
+        // What the log has forgotten, the last changes of all blocks tell.
+        let answer = move || {
+            let stamps = &root.published.stamps;
+            let told = (stamps.complete_from()..=root.published.revision).contains(&since);
+            Plan::new(&root, &area, told.then(|| stamps.since(since)), contents).read(&root, since)
+        };
+        self.apart("changes", entry.name(), answer).await
     }
 }
 
@@ -213,52 +230,39 @@ impl MapService {
 struct Plan {
     /// Depth of the cells.
     depth: u8,
-    /// Node and its last commit; `None` when the reader must take everything anew.
-    nodes: Option<Vec<(NodeAddress, u64)>>,
+    /// Node and its last change; `None` when the reader must take everything anew.
+    nodes: Option<Vec<(NodeAddress, BlockStamp)>>,
     /// Cells to read in all; 0 without contents.
     cells: usize,
     contents: bool,
 }
 
 impl Plan {
-    fn new(root: &Root, area: &LeafRange, depth: u8, blocks: Option<&BTreeMap<u64, u64>>, contents: bool) -> Self {
-        let map_depth = root.config.grid().depth();
-        let block_depth = map_depth.saturating_sub(BLOCK_LEVELS);
-        let node_depth = block_depth.min(depth);
-        let shift = block_depth - node_depth;
-        let block_side = 1_u32 << (map_depth - block_depth);
-        // By Morton code of the node: that of a coarser node is a prefix, so the order stays.
-        let mut nodes: BTreeMap<u64, u64> = BTreeMap::new();
-        for (code, revision) in blocks.into_iter().flatten() {
-            let block = BlockAddress::from_morton(*code);
-            let (left, bottom) = (block.x * block_side, block.y * block_side);
-            let meets = left < area.max_x
-                && bottom < area.max_y
-                && left + block_side > area.min_x
-                && bottom + block_side > area.min_y;
-            if meets {
-                let last = nodes.entry(code >> (2 * shift)).or_default();
-                *last = (*last).max(*revision);
-            }
-        }
-        let side = 1_usize << (depth - node_depth);
-        let cells = if contents { nodes.len().saturating_mul(side * side) } else { 0 };
-        let address = |(code, revision): (u64, u64)| {
-            let BlockAddress { x, y } = BlockAddress::from_morton(code);
-            (NodeAddress { depth: node_depth, x, y }, revision)
-        };
-        let nodes = (blocks.is_some() && cells <= MAX_CELLS).then(|| nodes.into_iter().map(address).collect());
-        Self { depth, cells: if nodes.is_some() { cells } else { 0 }, nodes, contents }
+    /// `blocks` are those that changed; `None` when that cannot be told.
+    fn new(
+        root: &Root,
+        area: &Area,
+        blocks: Option<impl Iterator<Item = (BlockAddress, BlockStamp)>>,
+        contents: bool,
+    ) -> Self {
+        let within = BlockBox::new(root.config.grid(), &area.leaves);
+        let nodes = blocks.map(|blocks| within.nodes(area.depth, blocks));
+        let side = 1_usize << (area.depth - within.node_depth(area.depth));
+        let count = nodes.as_ref().map_or(0, Vec::len);
+        let cells = if contents { count.saturating_mul(side * side) } else { 0 };
+        // Too many cells for a message are everything too.
+        let nodes = nodes.filter(|_| cells <= MAX_CELLS);
+        Self { depth: area.depth, cells: if nodes.is_some() { cells } else { 0 }, nodes, contents }
     }
 
     fn read(&self, root: &Root, since: u64) -> Result<Changes, QueryError> {
         let everything = self.nodes.is_none();
-        let block = |(node, revision): (NodeAddress, u64)| {
+        let block = |(node, stamp): (NodeAddress, BlockStamp)| {
             let side = 1_u32 << (self.depth - node.depth);
             let (left, bottom) = (node.x * side, node.y * side);
             let cells = LeafRange { min_x: left, min_y: bottom, max_x: left + side, max_y: bottom + side };
             let classes = if self.contents { root.tree.try_raster(&cells, self.depth)? } else { Vec::new() };
-            Ok(BlockChange { node, revision, classes })
+            Ok(BlockChange { classes, ..bare((node, stamp)) })
         };
         let blocks = self.nodes.iter().flatten().copied().map(block).collect::<Result<_, QueryError>>()?;
         Ok(Changes { revision: root.published.revision, since, everything, depth: self.depth, blocks })

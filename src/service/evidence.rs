@@ -2,7 +2,7 @@
 
 use super::budget::{Budget, Reservation};
 use super::metrics;
-use super::writer::{Job, Numbered, Published, ScanEvidence};
+use super::writer::{Job, Numbered, Published, Request, ScanEvidence};
 use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings};
 use crate::mapping::{MapConfig, Surveyor};
 use crate::quadtree::{BlockMasks, LeafMasks, RowMask};
@@ -42,7 +42,7 @@ pub(super) struct Task {
     pub(super) scans: Vec<ScanInput>,
     pub(super) reservation: Reservation,
     /// The request's place in the writer's queue.
-    pub(super) place: mpsc::OwnedPermit<Job>,
+    pub(super) place: mpsc::OwnedPermit<Request>,
     pub(super) inside: super::gate::Inside,
     pub(super) reply: oneshot::Sender<Result<InsertAnswer, ServiceError>>,
 }
@@ -50,7 +50,9 @@ pub(super) struct Task {
 /// What became of one scan before the writer.
 enum Prepared {
     Evidence(ScanEvidence),
-    Duplicate,
+    /// Of a request that goes to the writer all the same, the writer looks again if a snapshot was restored meanwhile. One
+    /// of nothing else is answered at once, with the revision that it was found in.
+    Duplicate(usize, Numbered),
     Refused(Rejection),
     /// No memory for its evidence: the whole request goes back.
     Exhausted(ServiceError),
@@ -96,24 +98,30 @@ impl Task {
         metrics::evidence(started.elapsed());
         let mut evidence = Vec::with_capacity(prepared.len());
         let mut answer = InsertAnswer { revision: self.published.revision, ..InsertAnswer::default() };
+        let mut known = Vec::new();
         let mut exhausted = None;
         for item in prepared {
             match item {
                 Prepared::Evidence(scan) => evidence.push(scan),
-                Prepared::Duplicate => answer.duplicates += 1,
+                Prepared::Duplicate(index, numbered) => {
+                    answer.duplicates += 1;
+                    known.push((index, numbered));
+                }
                 Prepared::Refused(rejection) => answer.rejected.push(rejection),
                 Prepared::Exhausted(error) => exhausted = Some(error),
             }
         }
         if exhausted.is_none() && !evidence.is_empty() {
-            self.place.send(Job {
+            self.place.send(Request::Scans(Job {
                 scans: evidence,
+                known,
+                restored: self.published.restored,
                 answer,
                 reply: self.reply,
                 reservation: self.reservation,
                 queued: metrics::Queued::new(),
                 inside: self.inside,
-            });
+            }));
             return;
         }
         // What the request held is given back before the answer, so that its sender's next request finds it free.
@@ -134,12 +142,12 @@ impl Task {
             Err(refusal) => return refused(refusal),
         };
         // What is known already needs no computing. The writer decides about all others.
-        if let Some(Numbered { robot, sequence }) = &numbered
+        if let Some(number @ Numbered { robot, sequence }) = &numbered
             && let Some(window) = self.published.windows.get(robot)
         {
             match window.verdict(*sequence) {
                 SequenceVerdict::New => {}
-                SequenceVerdict::Duplicate => return Prepared::Duplicate,
+                SequenceVerdict::Duplicate => return Prepared::Duplicate(index, number.clone()),
                 SequenceVerdict::TooOld => return refused(too_old(*sequence, window.highest())),
             }
         }

@@ -7,12 +7,18 @@ mod budget;
 mod changes;
 mod error;
 mod evidence;
+mod failures;
 mod gate;
 mod input;
 mod metrics;
+mod nav2;
 mod queries;
 mod registry;
+mod rescue;
 mod settings;
+mod snapshots;
+mod stamps;
+mod transfer;
 mod writer;
 
 #[cfg(test)]
@@ -27,8 +33,9 @@ mod metrics_tests;
 use crate::mapping::{MapConfig, Region};
 use crate::quadtree::CacheStatistics;
 use crate::store::{MapName, MapStore};
+use failures::store_failure;
 use queries::{QueryError, Root};
-use registry::{Entry, Registry, WhenFull, blocking, store_failure};
+use registry::{Entry, Registry, WhenFull, blocking};
 use std::sync::Arc;
 
 pub use answers::{
@@ -39,7 +46,9 @@ pub use changes::Watch;
 pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
 pub use metrics::describe_metrics;
+pub use nav2::Nav2Mode;
 pub use settings::ServiceSettings;
+pub use transfer::{ExportForm, ExportedFile};
 
 /// Queries of at most so many points are answered on the caller's thread, larger ones on a thread for them.
 const INLINE_POINTS: usize = 1024;
@@ -149,15 +158,29 @@ impl MapService {
     /// # Errors
     /// [`ErrorKind::InvalidRegion`], [`ErrorKind::RegionTooLarge`] naming the limit and the depth that would fit.
     pub async fn region(&self, name: &MapName, query: &BoxQuery) -> Result<RegionAnswer, ServiceError> {
+        self.region_with(name, query, false).await
+    }
+
+    /// As [`MapService::region`]; `with_blocks`: with the blocks that ever changed, and when they last did.
+    ///
+    /// # Errors
+    /// As [`MapService::region`].
+    pub async fn region_with(
+        &self,
+        name: &MapName,
+        query: &BoxQuery,
+        with_blocks: bool,
+    ) -> Result<RegionAnswer, ServiceError> {
         let root = self.root(name).await?;
         let area = root.area(query)?;
         if root.nodes(&area) <= INLINE_LEAVES
-            && let Some(answer) = inline("region", name, || root.in_memory().region(&area, self.settings()))
+            && let Some(answer) =
+                inline("region", name, || root.in_memory().region(&area, with_blocks, self.settings()))
         {
             return answer;
         }
         let settings = Arc::clone(&self.registry.settings);
-        self.apart("region", name, move || root.region(&area, &settings)).await
+        self.apart("region", name, move || root.region(&area, with_blocks, &settings)).await
     }
 
     /// A dense raster of a half-open box at a depth; cells outside the root are not in it.
@@ -254,7 +277,13 @@ impl MapService {
             metrics::query(kind, compute)
         })
         .await?;
-        answer.map_err(|error| query_failure(name, error))
+        match answer.map_err(|error| query_failure(name, error)) {
+            Err(error) => match self.registry.find(name) {
+                Ok(entry) => Err(self.registry.with_rescue(&entry, error).await),
+                Err(_) => Err(error),
+            },
+            answer => answer,
+        }
     }
 
     /// Hands what is counted elsewhere to the recorder: called before the metrics are shown.

@@ -1,5 +1,6 @@
 //! Queries of one published root: plain functions that wait for nothing but the blocks that they look into.
 
+use super::stamps::{BlockBox, bare, time_of};
 use super::writer::Published;
 use super::{BoxQuery, ClassesAnswer, ErrorKind, FreeAnswers, Raster, RegionAnswer, ServiceError, ServiceSettings};
 use crate::mapping::{EvidenceRule, MapConfig, Region, try_guaranteed_free};
@@ -94,15 +95,7 @@ impl Root {
 
     /// The depth asked for, the map's by default.
     pub(super) fn depth(&self, asked: Option<u32>) -> Result<u8, ServiceError> {
-        let depth = self.grid().depth();
-        match asked.map(u8::try_from) {
-            None => Ok(depth),
-            Some(Ok(asked)) if asked <= depth => Ok(asked),
-            Some(_) => {
-                let detail = format!("depth must be between 0 and {depth}, got {}", asked.unwrap_or_default());
-                Err(ServiceError::new(ErrorKind::DepthOutOfRange, detail).at("depth"))
-            }
-        }
+        checked_depth(self.grid(), asked)
     }
 
     /// Classes at points, by the half-open cells of `depth`.
@@ -143,12 +136,29 @@ impl Root {
         area.count(self.grid().depth(), area.depth)
     }
 
-    /// Leaves of an area in Z-order.
-    pub(super) fn region(&self, area: &Area, settings: &ServiceSettings) -> Result<RegionAnswer, QueryError> {
+    /// Leaves of an area in Z-order, with its blocks where they are wanted.
+    pub(super) fn region(
+        &self,
+        area: &Area,
+        with_blocks: bool,
+        settings: &ServiceSettings,
+    ) -> Result<RegionAnswer, QueryError> {
         let limit = settings.max_leaves;
         let mut leaves = Vec::new();
         if self.visit(area, area.depth, limit, &mut |leaf| leaves.push(leaf))? {
-            return Ok(RegionAnswer { revision: self.published.revision, depth: area.depth, leaves });
+            let within = BlockBox::new(self.grid(), &area.leaves);
+            let changed = within.changed(&self.published.stamps);
+            let last_change = changed.iter().map(|(_, stamp)| *stamp).max_by_key(|stamp| stamp.revision);
+            let wanted = if with_blocks { changed } else { Vec::new() };
+            let blocks: Vec<_> = within.nodes(area.depth, wanted).into_iter().map(bare).collect();
+            let last_change = last_change.and_then(time_of);
+            let answer =
+                RegionAnswer { revision: self.published.revision, depth: area.depth, leaves, last_change, blocks };
+            if answer.blocks.len() <= limit {
+                return Ok(answer);
+            }
+            let what = format!("the region has {} blocks that changed, the limit is {limit}", answer.blocks.len());
+            return Err(ServiceError::new(ErrorKind::RegionTooLarge, what).at("blocks").into());
         }
         drop(leaves);
         // A coarser reading never has more leaves, so the deepest that fits is found by halving; each trial stops at
@@ -268,6 +278,19 @@ impl Root {
             depth: self.grid().depth(),
             results: regions.iter().map(free).collect::<Result<_, PageError>>()?,
         })
+    }
+}
+
+/// A depth that was asked for; the map's by default.
+pub(super) fn checked_depth(grid: &Grid, asked: Option<u32>) -> Result<u8, ServiceError> {
+    let depth = grid.depth();
+    match asked.map(u8::try_from) {
+        None => Ok(depth),
+        Some(Ok(asked)) if asked <= depth => Ok(asked),
+        Some(_) => {
+            let detail = format!("depth must be between 0 and {depth}, got {}", asked.unwrap_or_default());
+            Err(ServiceError::new(ErrorKind::DepthOutOfRange, detail).at("depth"))
+        }
     }
 }
 

@@ -2,18 +2,21 @@
 
 use super::changes::{ChangeLog, NOTICES};
 use super::evidence::{EvidencePool, Task, input_bytes};
+use super::failures::{map_exists, map_not_found, store_error, store_failure, thread_failed};
 use super::gate::Gate;
 use super::metrics;
-use super::writer::{Job, Published, Writer, map_not_found};
+use super::rescue::Rescue;
+use super::stamps::time_of;
+use super::writer::{Published, Request, Writer};
 use super::{
     CommitNotice, Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError,
     ServiceSettings,
 };
 use crate::mapping::MapConfig;
 use crate::quadtree::BlockCache;
-use crate::store::{DamagedMap, MapId, MapName, MapStore, StoreError, StoredMap};
+use crate::store::{DamagedMap, MapId, MapName, MapStore, OpenMap, StoredMap};
 use arc_swap::ArcSwap;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::{Mutex, OnceCell, Semaphore, broadcast, mpsc, oneshot};
@@ -54,6 +57,20 @@ struct Table {
     maps: BTreeMap<MapName, Arc<Entry>>,
     /// Maps of which the store cannot read what they are. Their names stay taken until they are deleted.
     damaged: BTreeMap<MapName, DamagedMap>,
+    /// Names of maps that are being imported.
+    coming: BTreeSet<MapName>,
+}
+
+/// A name that is kept for a map which is being imported.
+pub(super) struct Coming {
+    registry: Arc<Registry>,
+    name: MapName,
+}
+
+impl Drop for Coming {
+    fn drop(&mut self) {
+        self.registry.change(|table| table.coming.remove(&self.name));
+    }
 }
 
 /// A map by name, loaded or not.
@@ -65,6 +82,8 @@ pub(super) struct Entry {
     /// The revision in the store while the map is not loaded: only a loaded map is written to.
     stored_revision: u64,
     opened: OnceCell<Opened>,
+    /// The snapshot that a damaged map can be rescued from.
+    pub(super) rescue: Rescue,
     pub(super) changes: Arc<ChangeLog>,
     /// Cancelled when the map is being deleted.
     pub(super) stop: CancellationToken,
@@ -73,7 +92,7 @@ pub(super) struct Entry {
 /// A loaded map.
 pub(super) struct Opened {
     pub(super) published: Arc<ArcSwap<Published>>,
-    queue: mpsc::Sender<Job>,
+    pub(super) queue: mpsc::Sender<Request>,
     /// Cancelled when the writer has made its last commit.
     stopped: CancellationToken,
     _counted: metrics::Loaded,
@@ -121,6 +140,26 @@ impl Registry {
         }
     }
 
+    /// Refuses a name that is taken.
+    pub(super) fn free(&self, name: &MapName) -> Result<(), ServiceError> {
+        match self.find(name) {
+            Ok(_) => Err(map_exists(name)),
+            Err(error) if error.kind == ErrorKind::MapNotFound => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Keeps a name and a place among the maps for one that is being imported.
+    pub(super) async fn reserve(self: &Arc<Self>, name: &MapName) -> Result<Coming, ServiceError> {
+        let _changes = self.changes.lock().await;
+        self.free(name)?;
+        self.room_for_a_map()?;
+        if !self.change(|table| table.coming.insert(name.clone())) {
+            return Err(map_exists(name));
+        }
+        Ok(Coming { registry: Arc::clone(self), name: name.clone() })
+    }
+
     pub(super) fn entries(&self) -> Vec<Arc<Entry>> {
         self.table.read().unwrap_or_else(PoisonError::into_inner).maps.values().cloned().collect()
     }
@@ -131,7 +170,10 @@ impl Registry {
 
     /// The loaded map; whoever comes first loads it, the others wait.
     pub(super) async fn opened<'e>(&self, entry: &'e Entry) -> Result<&'e Opened, ServiceError> {
-        entry.opened.get_or_try_init(|| self.load(entry)).await
+        match entry.opened.get_or_try_init(|| self.load(entry)).await {
+            Ok(opened) => Ok(opened),
+            Err(error) => Err(self.with_rescue(entry, error).await),
+        }
     }
 
     async fn load(&self, entry: &Entry) -> Result<Opened, ServiceError> {
@@ -139,7 +181,8 @@ impl Registry {
         let loaded = blocking(move || store.open(id, &cache)).await?;
         let loaded = loaded.map_err(|e| store_failure(&entry.name, "load", &e))?;
         tracing::debug!(map = %entry.name, revision = loaded.revision, "loaded");
-        let root = Published { revision: loaded.revision, tree: loaded.tree, windows: Arc::new(loaded.windows) };
+        let OpenMap { revision, tree, pager, windows, stamps } = loaded;
+        let root = Published { revision, tree, windows: Arc::new(windows), stamps, restored: 0 };
         let published = Arc::new(ArcSwap::from_pointee(root));
         let (sender, receiver) = mpsc::channel(self.settings.queue_length.clamp(1, Semaphore::MAX_PERMITS));
         let stopped = CancellationToken::new();
@@ -148,10 +191,11 @@ impl Registry {
             id,
             store: Arc::clone(&self.store),
             published: Arc::clone(&published),
-            pager: loaded.pager,
+            pager,
             changes: Arc::clone(&entry.changes),
             max_scans_per_commit: self.settings.max_scans_per_commit,
             max_robots: self.settings.max_robots,
+            max_snapshots: self.settings.max_snapshots,
         };
         tokio::spawn(writer.run(receiver, entry.stop.clone(), stopped.clone()));
         Ok(Opened { published, queue: sender, stopped, _counted: metrics::Loaded::new() })
@@ -178,10 +222,9 @@ impl Registry {
     }
 
     async fn create_new(&self, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
-        let limit = self.settings.max_maps;
-        if self.entries().len() >= limit {
-            let detail = format!("the server has {limit} maps, which is the limit");
-            return Err(ServiceError::new(ErrorKind::TooManyMaps, detail));
+        self.room_for_a_map()?;
+        if self.table.read().unwrap_or_else(PoisonError::into_inner).coming.contains(name) {
+            return Err(map_exists(name));
         }
         let created = now();
         let (store, named, stored) = (Arc::clone(&self.store), name.clone(), config.clone());
@@ -192,6 +235,16 @@ impl Registry {
         self.put(Arc::clone(&entry));
         tracing::info!(map = %name, id = id.0, "created");
         Ok(Created { created: true, map: entry.describe(Vec::new()) })
+    }
+
+    fn room_for_a_map(&self) -> Result<(), ServiceError> {
+        let limit = self.settings.max_maps;
+        let table = self.table.read().unwrap_or_else(PoisonError::into_inner);
+        if table.maps.len() + table.coming.len() < limit {
+            return Ok(());
+        }
+        let detail = format!("the server has {limit} maps, which is the limit");
+        Err(ServiceError::new(ErrorKind::TooManyMaps, detail))
     }
 
     async fn reconfigure(&self, entry: &Entry, config: MapConfig) -> Result<(), ServiceError> {
@@ -240,7 +293,7 @@ impl Registry {
             && error.kind != ErrorKind::MapNotFound
         {
             // The map is still there: with an entry of its own it is loaded again and takes writes again.
-            self.put(Arc::new(self.entry(entry.stored())));
+            self.put_stored(entry.stored());
             return Err(error);
         }
         self.change(|table| table.maps.remove(&entry.name));
@@ -264,6 +317,10 @@ impl Registry {
         Entry::new(map, &self.settings, &self.notices)
     }
 
+    pub(super) fn put_stored(&self, map: StoredMap) {
+        self.put(Arc::new(self.entry(map)));
+    }
+
     fn put(&self, entry: Arc<Entry>) {
         self.change(|table| table.maps.insert(entry.name.clone(), entry));
     }
@@ -278,6 +335,7 @@ impl Registry {
         };
         let mut description = entry.describe(published.windows.iter().map(robot).collect());
         description.revision = published.revision;
+        description.last_change = published.stamps.newest().and_then(time_of);
         Ok(description)
     }
 
@@ -343,6 +401,7 @@ impl Entry {
             config: ArcSwap::from_pointee(map.config),
             stored_revision: map.revision,
             opened: OnceCell::new(),
+            rescue: Rescue::default(),
             stop: CancellationToken::new(),
         }
     }
@@ -364,6 +423,7 @@ impl Entry {
             revision: self.revision(),
             created: self.created,
             robots,
+            last_change: None,
         }
     }
 
@@ -403,44 +463,4 @@ pub(super) fn now() -> f64 {
 /// Runs what blocks on a thread for it.
 pub(super) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, ServiceError> {
     tokio::task::spawn_blocking(work).await.map_err(|e| thread_failed(&e))
-}
-
-fn thread_failed(error: &tokio::task::JoinError) -> ServiceError {
-    tracing::error!(%error, "a thread of the service failed");
-    ServiceError::new(ErrorKind::Internal, "the server failed while it worked on this request")
-}
-
-/// What a client reads when the store fails at a map.
-pub(super) fn store_failure(name: &MapName, doing: &str, error: &StoreError) -> ServiceError {
-    match error {
-        StoreError::NoMap(_) => map_not_found(name),
-        other => store_error(&format!("{doing} map {:?}", name.as_str()), other),
-    }
-}
-
-fn store_error(doing: &str, error: &StoreError) -> ServiceError {
-    match error {
-        StoreError::Exists(name) => {
-            ServiceError::new(ErrorKind::MapExists, format!("map {:?} exists in the store", name.as_str()))
-        }
-        StoreError::NoMap(_) => ServiceError::new(ErrorKind::MapNotFound, "the store has no such map"),
-        // What is damaged is for the client to know; it names no files.
-        StoreError::Damaged { .. } | StoreError::NewerFormat { .. } => {
-            tracing::error!(%error, "could not {doing}");
-            ServiceError::new(ErrorKind::MapDamaged, format!("the server could not {doing}: {error}"))
-        }
-        StoreError::SnapshotExists(_) | StoreError::NoSnapshot(_) | StoreError::Refused(_) => {
-            tracing::error!(%error, "could not {doing}");
-            ServiceError::new(ErrorKind::Internal, format!("the server failed to {doing}"))
-        }
-        StoreError::FailStop(_) => {
-            tracing::error!(%error, "could not {doing}");
-            let detail = format!("the store could not {doing}: {}", ServiceError::NO_MORE_WRITES);
-            ServiceError::new(ErrorKind::StoreFailed, detail)
-        }
-        StoreError::Locked { .. } | StoreError::NoStore { .. } | StoreError::Io { .. } => {
-            tracing::error!(%error, "could not {doing}");
-            ServiceError::new(ErrorKind::StoreFailed, format!("the store could not {doing}"))
-        }
-    }
 }

@@ -26,6 +26,10 @@ pub struct ServiceSettings {
     pub max_maps: usize,
     /// Most robots of one map that send numbered scans: each keeps a sequence window for good.
     pub max_robots: usize,
+    /// Most snapshots of one map.
+    pub max_snapshots: usize,
+    /// Most bytes of a map file that is imported.
+    pub max_import_bytes: usize,
     /// Insert requests of one map that may wait at its writer or have their evidence computed.
     pub queue_length: usize,
     /// Most scans in one commit; a request is never divided, so one that is larger is a commit of its own.
@@ -55,6 +59,8 @@ impl Default for ServiceSettings {
             max_cells: 16_777_216,
             max_maps: 10_000,
             max_robots: 10_000,
+            max_snapshots: 10_000,
+            max_import_bytes: 256 << 20,
             queue_length: 256,
             max_scans_per_commit: 4096,
             max_changes: 65_536,

@@ -6,12 +6,17 @@
 use super::budget::Reservation;
 use super::changes::ChangeLog;
 use super::evidence::too_old;
+use super::failures::{map_not_found, store_failure};
 use super::gate::Inside;
 use super::metrics;
-use super::registry::{now, store_failure};
+use super::registry::now;
+use super::snapshots::Errand;
 use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
-use crate::quadtree::{BlockAddress, BlockPager, LeafMasks, PageError, PagedTree};
-use crate::store::{Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError};
+use crate::quadtree::{BlockAddress, BlockPager, Held, LeafMasks, PageError, PagedTree};
+use crate::store::{
+    BlockStamp, BlockStamps, Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError,
+    StoredSnapshot,
+};
 use arc_swap::ArcSwap;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -25,6 +30,21 @@ pub(super) struct Published {
     pub(super) revision: u64,
     pub(super) tree: PagedTree,
     pub(super) windows: Arc<BTreeMap<RobotName, SequenceWindow>>,
+    /// When each block last changed.
+    pub(super) stamps: BlockStamps,
+    /// The revision of the last restoring of a snapshot since the map was loaded; 0 before the first. Between two roots
+    /// with the same one, nothing that was applied was taken back.
+    pub(super) restored: u64,
+}
+
+/// What comes to a map's writer, done in the order of arrival.
+pub(super) enum Request {
+    /// Several of them are one round.
+    Scans(Job),
+    /// Keeps the last revision under a name.
+    Snapshot(Errand<StoredSnapshot>),
+    /// Commits what a snapshot keeps; answered with the new revision.
+    Restore(Errand<u64>),
 }
 
 /// A robot's own number of a scan.
@@ -44,9 +64,13 @@ pub(super) struct ScanEvidence {
     pub(super) masks: LeafMasks,
 }
 
-/// A request at the writer.
+/// An insertion at the writer.
 pub(super) struct Job {
     pub(super) scans: Vec<ScanEvidence>,
+    /// The duplicates among those that were found before the writer, by their index in the request.
+    pub(super) known: Vec<(usize, Numbered)>,
+    /// [`Published::restored`] of the root in which they were found.
+    pub(super) restored: u64,
     /// What is known of the answer so far: refusals and duplicates found before the writer.
     pub(super) answer: InsertAnswer,
     pub(super) reply: oneshot::Sender<Result<InsertAnswer, ServiceError>>,
@@ -77,6 +101,7 @@ pub(super) struct Writer {
     pub(super) changes: Arc<ChangeLog>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
+    pub(super) max_snapshots: usize,
 }
 
 /// One round's changes on top of a published root; dropped without a trace when the commit fails.
@@ -95,18 +120,23 @@ struct Round<'a> {
 impl Writer {
     /// Works until the queue's senders are gone or `stop` says that the map is deleted. `stopped` is cancelled as soon
     /// as no further commit can follow.
-    pub(super) async fn run(self, mut queue: mpsc::Receiver<Job>, stop: CancellationToken, stopped: CancellationToken) {
+    pub(super) async fn run(
+        self,
+        mut queue: mpsc::Receiver<Request>,
+        stop: CancellationToken,
+        stopped: CancellationToken,
+    ) {
         let done = stopped.drop_guard();
         let writer = Arc::new(self);
         let mut held = None;
         loop {
             let first = match held.take() {
-                Some(job) => job,
+                Some(request) => request,
                 None => tokio::select! {
                     biased;
                     () = stop.cancelled() => break,
-                    job = queue.recv() => match job {
-                        Some(job) => job,
+                    request = queue.recv() => match request {
+                        Some(request) => request,
                         None => return,
                     },
                 },
@@ -117,20 +147,27 @@ impl Writer {
                 held = Some(first);
                 break;
             }
-            let jobs = drain(first, &mut queue, &mut held, writer.max_scans_per_commit);
             let worker = Arc::clone(&writer);
-            if let Err(error) = tokio::task::spawn_blocking(move || worker.round(jobs)).await {
+            let work: Box<dyn FnOnce() + Send> = match first {
+                Request::Scans(first) => {
+                    let jobs = drain(first, &mut queue, &mut held, writer.max_scans_per_commit);
+                    Box::new(move || worker.round(jobs))
+                }
+                Request::Snapshot(errand) => Box::new(move || errand.run(|name| worker.take_snapshot(name))),
+                Request::Restore(errand) => Box::new(move || errand.run(|name| worker.restore(name))),
+            };
+            if let Err(error) = tokio::task::spawn_blocking(work).await {
                 // The requests of the round went with it: their clients are told that the server failed.
                 tracing::error!(map = %writer.name, %error, "a commit's thread failed");
             }
         }
         drop(done);
         queue.close();
-        if let Some(job) = held {
-            refuse_deleted(job, &writer.name);
+        if let Some(request) = held {
+            request.refuse(map_not_found(&writer.name));
         }
-        while let Some(job) = queue.recv().await {
-            refuse_deleted(job, &writer.name);
+        while let Some(request) = queue.recv().await {
+            request.refuse(map_not_found(&writer.name));
         }
     }
 
@@ -166,49 +203,70 @@ impl Writer {
     /// Stores a round and publishes it; returns the revision that holds it.
     fn store(&self, round: Round<'_>) -> Result<u64, StoreError> {
         let (applied, base) = (round.applied, round.base);
-        let Some((commit, mut published)) = round.finish()? else {
+        let Some((commit, next)) = round.finish()? else {
             return Ok(base.revision);
         };
-        let changed: Vec<BlockAddress> = commit.blocks.iter().map(|(address, _)| *address).collect();
         // Readers of older roots keep their blocks, whose records go now.
-        let replaced = base.tree.hold_replaced(&changed)?;
+        let replaced = base.tree.hold_replaced(&commit.addresses())?;
+        self.publish(&commit, next, replaced, applied)
+    }
+
+    /// Makes a commit durable, then publishes the root that it leads to; returns its revision. A failed one leaves
+    /// everything as it was.
+    pub(super) fn publish(
+        &self,
+        commit: &Commit,
+        mut next: Published,
+        replaced: Held,
+        applied: u64,
+    ) -> Result<u64, StoreError> {
         let started = Instant::now();
-        let stored = self.store.commit(self.id, &commit);
+        let stored = self.store.commit(self.id, commit);
         metrics::commit(stored.is_ok(), applied, started.elapsed());
         stored?;
         replaced.keep();
+        let changed = commit.addresses();
         if let Some(pager) = &self.pager {
-            published.tree.settle(&changed, commit.revision, pager);
+            next.tree.settle(&changed, commit.revision, pager);
         }
-        self.changes.record(commit.revision, commit.blocks.iter().map(|(address, _)| *address));
-        self.published.store(Arc::new(published));
+        let stamp = BlockStamp { revision: commit.revision, changed: commit.changed };
+        changed.iter().for_each(|address| next.stamps.set(*address, stamp));
+        self.changes.record(commit.revision, changed.into_iter());
+        self.published.store(Arc::new(next));
         self.changes.announce(commit.revision);
         Ok(commit.revision)
     }
 }
 
-/// The first request and what has arrived behind it, up to `max_scans`; the request that is too many is held back.
-fn drain(first: Job, queue: &mut mpsc::Receiver<Job>, held: &mut Option<Job>, max_scans: usize) -> Vec<Job> {
+impl Request {
+    fn refuse(self, error: ServiceError) {
+        match self {
+            Self::Scans(job) => job.reply(Err(error)),
+            Self::Snapshot(errand) => errand.refuse(error),
+            Self::Restore(errand) => errand.refuse(error),
+        }
+    }
+}
+
+/// The first insertion and those that have arrived behind it, up to `max_scans`; the request that is too many, or none
+/// of scans, is held back.
+fn drain(first: Job, queue: &mut mpsc::Receiver<Request>, held: &mut Option<Request>, max_scans: usize) -> Vec<Job> {
     let mut scans = first.scans.len();
     let mut jobs = vec![first];
     while scans < max_scans {
-        let Ok(job) = queue.try_recv() else { break };
-        scans += job.scans.len();
-        if scans > max_scans {
-            *held = Some(job);
-            break;
+        match queue.try_recv() {
+            Ok(Request::Scans(job)) if scans + job.scans.len() <= max_scans => {
+                scans += job.scans.len();
+                jobs.push(job);
+            }
+            Ok(other) => {
+                *held = Some(other);
+                break;
+            }
+            Err(_) => break,
         }
-        jobs.push(job);
     }
     jobs
-}
-
-fn refuse_deleted(job: Job, name: &MapName) {
-    job.reply(Err(map_not_found(name)));
-}
-
-pub(super) fn map_not_found(name: &MapName) -> ServiceError {
-    ServiceError::new(ErrorKind::MapNotFound, format!("there is no map {:?}", name.as_str())).at("map")
 }
 
 impl<'a> Round<'a> {
@@ -229,6 +287,9 @@ impl<'a> Round<'a> {
     /// What a scan looks into is read before it counts as applied: one that meets a damaged block is refused by itself.
     fn take(&mut self, job: &Job, max_robots: usize) -> InsertAnswer {
         let mut answer = job.answer.clone();
+        if job.restored != self.base.restored {
+            self.look_again(&job.known, &mut answer);
+        }
         for scan in &job.scans {
             let readable = self.tree.prepare(&scan.masks).map_err(|error| unreadable(error.into()));
             match readable.and_then(|()| self.admit(scan.numbered.as_ref(), max_robots)) {
@@ -245,6 +306,20 @@ impl<'a> Round<'a> {
         }
         answer.rejected.sort_by_key(|rejection| rejection.index);
         answer
+    }
+
+    /// A snapshot was restored since these scans were found to be duplicates: those that it took back are refused, for
+    /// what is answered as a duplicate is in the map of the answer's revision. Their evidence was not computed.
+    fn look_again(&self, known: &[(usize, Numbered)], answer: &mut InsertAnswer) {
+        for (index, Numbered { robot, sequence }) in known {
+            let window = self.windows.get(robot).or_else(|| self.base.windows.get(robot));
+            if window.is_some_and(|window| window.verdict(*sequence) == SequenceVerdict::Duplicate) {
+                continue;
+            }
+            answer.duplicates -= 1;
+            let detail = "a snapshot was restored while this scan was on its way, and took it back: send it again";
+            answer.rejected.push(Rejection { index: *index, code: "MAP_RESTORED", detail: detail.to_owned() });
+        }
     }
 
     /// Looks a scan up in its robot's window and records it there if it is new.
@@ -293,7 +368,8 @@ impl<'a> Round<'a> {
         }
         let changed = now();
         let commit = Commit { revision, changed, blocks, windows: self.windows.into_iter().collect() };
-        Ok(Some((commit, Published { revision, tree: self.tree, windows })))
+        let (stamps, restored) = (self.base.stamps.clone(), self.base.restored);
+        Ok(Some((commit, Published { revision, tree: self.tree, windows, stamps, restored })))
     }
 }
 

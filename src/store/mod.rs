@@ -121,6 +121,14 @@ pub struct Commit {
     pub windows: Vec<(RobotName, SequenceWindow)>,
 }
 
+impl Commit {
+    /// The addresses of the changed blocks.
+    #[must_use]
+    pub fn addresses(&self) -> Vec<BlockAddress> {
+        self.blocks.iter().map(|(address, _)| *address).collect()
+    }
+}
+
 /// A revision of a map that is kept under a name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredSnapshot {

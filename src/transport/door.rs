@@ -1,5 +1,6 @@
 //! Who may come in: operations and streams under way, the time they may take, and the end of the server.
 
+use super::files::out_of_time;
 use crate::service::{ErrorKind, ServiceError};
 use metrics::{describe_gauge, gauge};
 use std::sync::Arc;
@@ -9,10 +10,12 @@ use tokio_util::sync::CancellationToken;
 
 const REQUESTS: &str = "ubbmap_requests_in_flight";
 const STREAMS: &str = "ubbmap_streams_open";
+const TRANSFERS: &str = "ubbmap_transfers_open";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
     describe_gauge!(REQUESTS, "Operations under way, on all transports");
+    describe_gauge!(TRANSFERS, "Map files on their way to or from clients, on all transports");
     describe_gauge!(STREAMS, "Streams of scans and watches that are open, on all transports");
 }
 
@@ -23,8 +26,12 @@ pub struct DoorSettings {
     pub requests: usize,
     /// Most streams open at once.
     pub streams: usize,
+    /// Most files on their way to or from clients at once: each is in memory as a whole.
+    pub transfers: usize,
     /// Longest time for one operation.
     pub request_timeout: Duration,
+    /// Longest time for the transfer of one file.
+    pub transfer_timeout: Duration,
 }
 
 /// The one door of a server: every operation and every stream of every transport passes it. Cheap to clone.
@@ -36,6 +43,7 @@ struct Inner {
     settings: DoorSettings,
     requests: Arc<Semaphore>,
     streams: Arc<Semaphore>,
+    transfers: Arc<Semaphore>,
     draining: CancellationToken,
 }
 
@@ -58,7 +66,8 @@ impl Door {
     pub fn new(settings: DoorSettings) -> Self {
         let semaphore = |places: usize| Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS)));
         let (requests, streams) = (semaphore(settings.requests), semaphore(settings.streams));
-        Self(Arc::new(Inner { settings, requests, streams, draining: CancellationToken::new() }))
+        let transfers = semaphore(settings.transfers);
+        Self(Arc::new(Inner { settings, requests, streams, transfers, draining: CancellationToken::new() }))
     }
 
     /// A place for one operation.
@@ -78,6 +87,33 @@ impl Door {
             return Err(ending());
         }
         place(&self.0.streams, STREAMS, || format!("{} streams are open", self.0.settings.streams))
+    }
+
+    /// A place for one file on its way.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Busy`], [`ErrorKind::ShuttingDown`]: no transfer begins once the server ends.
+    pub fn transfer(&self) -> Result<Place, ServiceError> {
+        if self.is_draining() {
+            return Err(ending());
+        }
+        let full = || format!("{} files are being transferred", self.0.settings.transfers);
+        place(&self.0.transfers, TRANSFERS, full)
+    }
+
+    /// How long the transfer of one file may take.
+    #[must_use]
+    pub fn transfer_timeout(&self) -> Duration {
+        self.0.settings.transfer_timeout
+    }
+
+    /// Waits for a file for as long as one may take.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Timeout`]
+    pub async fn timed_transfer<T>(&self, work: impl Future<Output = T>) -> Result<T, ServiceError> {
+        let limit = self.transfer_timeout();
+        tokio::time::timeout(limit, work).await.map_err(|_| out_of_time(limit))
     }
 
     /// Waits for an operation for as long as one may take.

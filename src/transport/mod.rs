@@ -2,6 +2,7 @@
 //! operations from message to message, the streams, the door that all pass, and the table of errors.
 
 pub mod door;
+pub mod files;
 pub mod grpc;
 pub mod http;
 pub mod operations;

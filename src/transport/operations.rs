@@ -1,6 +1,6 @@
 //! Every operation from its request message to its response message: what all transports have in common.
 
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, ExportedFile, MapService, ServiceError};
 use crate::wire::{self, Batch, v1};
 
 /// Creates a map.
@@ -82,7 +82,7 @@ pub async fn get_region(
     request: v1::GetRegionRequest,
 ) -> Result<v1::GetRegionResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    Ok(wire::region_response(service.region(&name, &wire::region_query(&request)).await?))
+    Ok(wire::region_response(service.region_with(&name, &wire::region_query(&request), request.blocks).await?))
 }
 
 /// Dense raster of a box.
@@ -132,10 +132,74 @@ pub async fn get_changes(
     Ok(wire::changes_response(service.changes(&name, request.since, &query).await?))
 }
 
-/// What is in the interface and not in this version.
-#[must_use]
-pub fn not_there(what: &str) -> ServiceError {
-    ServiceError::new(ErrorKind::RouteNotFound, format!("{what} are not in this version of the server"))
+/// Keeps a map's last revision under a name.
+///
+/// # Errors
+/// As [`MapService::take_snapshot`].
+pub async fn create_snapshot(
+    service: &MapService,
+    request: v1::CreateSnapshotRequest,
+) -> Result<v1::CreateSnapshotResponse, ServiceError> {
+    let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
+    Ok(wire::create_snapshot_response(&service.take_snapshot(&map, &name).await?))
+}
+
+/// The snapshots of a map.
+///
+/// # Errors
+/// As [`MapService::snapshots`].
+pub async fn list_snapshots(
+    service: &MapService,
+    request: v1::ListSnapshotsRequest,
+) -> Result<v1::ListSnapshotsResponse, ServiceError> {
+    Ok(wire::list_snapshots_response(&service.snapshots(&wire::map_name(&request.map)?).await?))
+}
+
+/// Makes a snapshot's content the map's.
+///
+/// # Errors
+/// As [`MapService::restore_snapshot`].
+pub async fn restore_snapshot(
+    service: &MapService,
+    request: v1::RestoreSnapshotRequest,
+) -> Result<v1::RestoreSnapshotResponse, ServiceError> {
+    let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
+    Ok(v1::RestoreSnapshotResponse { revision: service.restore_snapshot(&map, &name).await? })
+}
+
+/// Removes a snapshot.
+///
+/// # Errors
+/// As [`MapService::delete_snapshot`].
+pub async fn delete_snapshot(
+    service: &MapService,
+    request: v1::DeleteSnapshotRequest,
+) -> Result<v1::DeleteSnapshotResponse, ServiceError> {
+    let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
+    service.delete_snapshot(&map, &name).await?;
+    Ok(v1::DeleteSnapshotResponse {})
+}
+
+/// A whole map as a file.
+///
+/// # Errors
+/// As [`MapService::export`].
+pub async fn export_map(service: &MapService, request: &v1::ExportMapRequest) -> Result<ExportedFile, ServiceError> {
+    let map = wire::map_name(&request.map)?;
+    let (snapshot, form) = wire::export_form(request)?;
+    service.export(&map, snapshot.as_ref(), form).await
+}
+
+/// A new map from a file.
+///
+/// # Errors
+/// As [`MapService::import`].
+pub async fn import_map<B>(service: &MapService, map: &str, file: B) -> Result<v1::ImportMapResponse, ServiceError>
+where
+    B: AsRef<[u8]> + Send + 'static,
+{
+    let map = wire::map_name(map)?;
+    Ok(wire::import_response(&map, service.import(&map, file).await?))
 }
 
 fn limited(count: usize, most: usize, field: &str, kind: ErrorKind) -> Result<(), ServiceError> {

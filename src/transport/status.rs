@@ -50,7 +50,9 @@ pub fn status(kind: ErrorKind) -> Status {
     use GrpcCode as Grpc;
     match kind {
         ErrorKind::MapNotFound => refused(404, "There is no such map", Grpc::NotFound),
-        ErrorKind::MapExists => refused(409, "The map exists with another configuration", Grpc::AlreadyExists),
+        ErrorKind::MapExists => refused(409, "The map exists", Grpc::AlreadyExists),
+        ErrorKind::SnapshotNotFound => refused(404, "There is no such snapshot", Grpc::NotFound),
+        ErrorKind::SnapshotExists => refused(409, "The snapshot exists", Grpc::AlreadyExists),
         ErrorKind::InvalidName => refused(400, "The name is not allowed", Grpc::InvalidArgument),
         ErrorKind::InvalidConfig => refused(400, "The map configuration is not valid", Grpc::InvalidArgument),
         ErrorKind::InvalidRequest => refused(400, "The request is not valid", Grpc::InvalidArgument),
@@ -63,6 +65,8 @@ pub fn status(kind: ErrorKind) -> Status {
         ErrorKind::TooManyRegions => refused(400, "Too many regions", Grpc::InvalidArgument),
         ErrorKind::TooManyScans => refused(400, "Too many scans", Grpc::InvalidArgument),
         ErrorKind::TooManyMaps => refused(409, "Too many maps", Grpc::ResourceExhausted),
+        ErrorKind::TooManySnapshots => refused(409, "Too many snapshots", Grpc::ResourceExhausted),
+        ErrorKind::InvalidFile => refused(400, "The map file is not valid", Grpc::InvalidArgument),
         ErrorKind::BodyTooLarge => refused(413, "The body is too large", Grpc::ResourceExhausted),
         ErrorKind::ToleranceTooHigh => refused(400, "The tolerance can never be met", Grpc::OutOfRange),
         ErrorKind::UnsupportedMediaType => refused(415, "The form of the body is not known", Grpc::InvalidArgument),

@@ -1,5 +1,6 @@
 //! Answers of the service as messages.
 
+use super::changes::changed_block;
 use super::config::to_wire_config;
 use super::v1;
 use crate::mapping::MapConfig;
@@ -17,6 +18,7 @@ pub fn create_map_response(created: Created) -> v1::CreateMapResponse {
         robots: map.robots,
         bounds: map.bounds,
         unknown_class: map.unknown_class,
+        last_change: map.last_change,
         existed: !created.created,
     }
 }
@@ -32,6 +34,7 @@ pub fn get_map_response(map: MapDescription) -> v1::GetMapResponse {
         robots: map.robots.into_iter().map(robot).collect(),
         bounds: Some(bounds(&map.config)),
         unknown_class: map.config.scale().unknown().into(),
+        last_change: map.last_change,
     }
 }
 
@@ -68,7 +71,13 @@ pub fn region_response(answer: RegionAnswer) -> v1::GetRegionResponse {
         y: leaf.node.y,
         class: leaf.class.into(),
     });
-    v1::GetRegionResponse { revision: answer.revision, depth: answer.depth.into(), leaves: leaves.collect() }
+    v1::GetRegionResponse {
+        revision: answer.revision,
+        depth: answer.depth.into(),
+        leaves: leaves.collect(),
+        last_change: answer.last_change,
+        blocks: answer.blocks.into_iter().map(changed_block).collect(),
+    }
 }
 
 /// A dense raster.

@@ -1,7 +1,7 @@
 //! What changed: requests of changes and watches, and their answers.
 
 use super::v1;
-use crate::service::{BoxQuery, Changes, ChangesQuery};
+use crate::service::{BlockChange, BoxQuery, Changes, ChangesQuery};
 
 /// The query of a request for changes.
 #[must_use]
@@ -39,18 +39,23 @@ pub fn changes_response(changes: Changes) -> v1::GetChangesResponse {
 /// One message of a watch.
 #[must_use]
 pub fn watch_response(changes: Changes) -> v1::WatchMapResponse {
-    let block = |block: crate::service::BlockChange| v1::ChangedBlock {
+    v1::WatchMapResponse {
+        revision: changes.revision,
+        since: changes.since,
+        everything: changes.everything,
+        blocks: changes.blocks.into_iter().map(changed_block).collect(),
+        depth: changes.depth.into(),
+    }
+}
+
+/// One changed block.
+pub(super) fn changed_block(block: BlockChange) -> v1::ChangedBlock {
+    v1::ChangedBlock {
         depth: block.node.depth.into(),
         x: block.node.x,
         y: block.node.y,
         revision: block.revision,
         classes: block.classes,
-    };
-    v1::WatchMapResponse {
-        revision: changes.revision,
-        since: changes.since,
-        everything: changes.everything,
-        blocks: changes.blocks.into_iter().map(block).collect(),
-        depth: changes.depth.into(),
+        changed: block.changed,
     }
 }

@@ -86,6 +86,17 @@ pub fn message<T: Message + Default>(bytes: &[u8]) -> Result<T, ServiceError> {
     protobuf(bytes)
 }
 
+/// A small request from its bytes.
+///
+/// # Errors
+/// [`ErrorKind::InvalidRequest`] at the field.
+pub fn request<T: Message + Default + DeserializeOwned>(bytes: &[u8], encoding: Encoding) -> Result<T, ServiceError> {
+    match encoding {
+        Encoding::Json => json::from_slice(bytes, ""),
+        Encoding::Protobuf => message(bytes),
+    }
+}
+
 /// The request of `CreateMap`; in JSON also the bare configuration, and nothing at all for the default one.
 ///
 /// # Errors

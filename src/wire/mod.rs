@@ -11,6 +11,7 @@ mod json;
 mod number;
 mod queries;
 mod scans;
+mod snapshots;
 #[cfg(test)]
 mod wire_tests;
 
@@ -21,12 +22,13 @@ pub use answers::{
 pub use changes::{changes_query, changes_response, watch_query, watch_response};
 pub use config::{map_config, to_wire_config};
 pub use decode::{
-    Encoding, classes_request, create_request, free_request, insert_request, message, scan_line, scan_lines,
+    Encoding, classes_request, create_request, free_request, insert_request, message, request, scan_line, scan_lines,
 };
 pub use free::{free_response, regions};
 pub use number::JsonNumber;
 pub use queries::{grid_query, map_name, points, region_query, same_map};
 pub use scans::Batch;
+pub use snapshots::{create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name};
 
 /// The messages of the package `ubbmap.v1` with their proto3 JSON.
 #[expect(missing_docs, clippy::all, reason = "generated")]

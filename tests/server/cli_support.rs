@@ -71,9 +71,15 @@ pub struct Server {
 
 impl Server {
     pub fn start(data: &Path, listen: &str) -> Self {
+        Self::start_with(data, listen, &[])
+    }
+
+    /// The same with more flags.
+    pub fn start_with(data: &Path, listen: &str, flags: &[&str]) -> Self {
         let mut child = ubbmap()
             .args(["serve", "--log", "warn", "--listen", listen, "--data"])
             .arg(data)
+            .args(flags)
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();

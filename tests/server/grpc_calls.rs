@@ -1,4 +1,4 @@
-//! gRPC beside the operations: health, reflection, gRPC-Web, limits, and what is not there yet.
+//! gRPC beside the operations: health, reflection, gRPC-Web and limits.
 
 #![allow(clippy::unwrap_used, reason = "a test may end where its ground is not as it should be")]
 
@@ -148,17 +148,4 @@ fn messages_and_times_have_their_limits() {
     site.store.release();
     let again = site.run(client.insert_scans(insertion("a", 1))).unwrap().into_inner();
     assert_eq!(again.applied + again.duplicates, 1);
-}
-
-#[test]
-fn what_is_not_there_yet_says_so() {
-    let site = Site::hall();
-    let mut client = site.rpc();
-    let request = v1::CreateSnapshotRequest { map: "hall".to_owned(), name: "x".to_owned() };
-    let (_, detail) = refused(site.run(client.create_snapshot(request)), Code::Unimplemented, "ROUTE_NOT_FOUND");
-    assert_eq!(detail, "snapshots are not in this version of the server");
-    let request = v1::ExportMapRequest { map: "hall".to_owned(), ..v1::ExportMapRequest::default() };
-    refused(site.run(client.export_map(request)), Code::Unimplemented, "ROUTE_NOT_FOUND");
-    let pieces = tokio_stream::iter([v1::ImportMapRequest::default()]);
-    refused(site.run(client.import_map(pieces)), Code::Unimplemented, "ROUTE_NOT_FOUND");
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 #[test]
 fn paths_without_a_route_are_problems() {
     let site = Site::hall();
-    for path in ["/nowhere", "/v1", "/v1/maps/", "/v1/maps/hall/", "/v1/maps/hall/snapshots", "/v1/maps/hall/tiles/0/0"]
+    for path in ["/nowhere", "/v1", "/v1/maps/", "/v1/maps/hall/", "/v1/maps/hall/snapshot", "/v1/maps/hall/tiles/0/0"]
     {
         site.get(path).problem(404, "ROUTE_NOT_FOUND");
     }

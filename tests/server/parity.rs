@@ -3,8 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::needless_pass_by_value, reason = "tests")]
 
 use crate::http_support::Site;
-use crate::parity_support::{Call, Outcome, TRANSPORTS, Transport};
-use crate::service_support::{TestStore, Writes, map_name, ring as scan_input};
+use crate::parity_support::{Call, Kind, Outcome, TRANSPORTS, Transport};
+use crate::service_support::{TestStore, Writes, applied, config, map_name, ring as scan_input};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,6 +12,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 use ubbmap::config::Config;
 use ubbmap::service::ErrorKind;
+use ubbmap::store::{LoadedMap, write_map_file};
 use ubbmap::wire::v1;
 
 /// Limits low enough to be passed.
@@ -20,8 +21,10 @@ fn low(config: &mut Config) {
     config.limits.points_per_query = 4;
     config.limits.regions_per_query = 2;
     config.limits.leaves_per_answer = 50;
-    config.limits.cells_per_answer = 5000;
+    config.limits.cells_per_answer = 3000;
     config.limits.maps = 2;
+    config.limits.snapshots = 2;
+    config.limits.import_bytes = 20_000;
     config.limits.body_bytes = 20_000;
     config.limits.config_bytes = 20_000;
 }
@@ -84,9 +87,46 @@ fn answered() -> Vec<Call> {
         Call::GetChanges(from(json!({"map": "hall", "since": 0}))),
         Call::GetChanges(from(json!({"map": "hall", "since": 1, "contents": true, "depth": 4, "min_x": 0.5}))),
         Call::GetChanges(from(json!({"map": "hall", "since": 77}))),
+        Call::GetRegion(from(json!({"map": "hall", "depth": 3, "blocks": true, "min_x": 0.5}))),
         Call::DeleteMap(from(json!({"map": "plain"}))),
         Call::ListMaps,
     ]
+}
+
+/// The same for snapshots and files, behind [`answered`].
+fn answered_kept() -> Vec<Call> {
+    let named = |name: &str| json!({"map": "hall", "name": name});
+    vec![
+        Call::ListSnapshots(from(json!({"map": "hall"}))),
+        Call::CreateSnapshot(from(named("one"))),
+        scans(vec![scan(7)]),
+        Call::CreateSnapshot(from(named("Two.2"))),
+        Call::ListSnapshots(from(json!({"map": "hall"}))),
+        Call::ExportMap(from(json!({"map": "hall"}))),
+        Call::ExportMap(from(json!({"map": "hall", "format": "EXPORT_FORMAT_UBBMAP", "snapshot": "one"}))),
+        Call::ExportMap(from(json!({"map": "hall", "format": "EXPORT_FORMAT_NAV2"}))),
+        Call::ExportMap(from(
+            json!({"map": "hall", "format": "EXPORT_FORMAT_NAV2", "depth": 4, "mode": "EXPORT_MODE_SCALE"}),
+        )),
+        Call::RestoreSnapshot(from(named("one"))),
+        Call::GetMap(from(json!({"map": "hall"}))),
+        Call::GetChanges(from(json!({"map": "hall", "since": 2, "contents": true, "depth": 4}))),
+        Call::DeleteSnapshot(from(named("one"))),
+        Call::ListSnapshots(from(json!({"map": "hall"}))),
+        Call::ImportMap("copy".to_owned(), map_file(40)),
+        Call::GetMap(from(json!({"map": "copy"}))),
+        Call::GetGrid(from(json!({"map": "copy", "depth": 6}))),
+        Call::ExportMap(from(json!({"map": "copy"}))),
+    ]
+}
+
+/// A map file of some scans.
+fn map_file(scans: u64) -> Vec<u8> {
+    let scans: Vec<_> = (0..scans).map(|i| scan_input("", None, i as f64 * 0.1)).collect();
+    let (config, mut bytes) = (config(), Vec::new());
+    let map = LoadedMap { revision: 40, tree: applied(&config, &scans), windows: Default::default() };
+    write_map_file(&mut bytes, &config, &map).unwrap();
+    bytes
 }
 
 /// Cases that are refused, each with its code; the map `hall` is there and the limits are [`low`].
@@ -129,7 +169,49 @@ fn refused() -> Vec<(ErrorKind, Call)> {
             }]),
         ),
         (Kind::ToleranceTooHigh, free(vec![disc(0.0)], 4)),
-        (Kind::RouteNotFound, Call::Snapshots),
+        (Kind::RouteNotFound, Call::Nothing),
+    ]
+}
+
+/// The same of snapshots and files; there are the snapshots `one` and `two`, and no more may be.
+fn refused_kept() -> Vec<(ErrorKind, Call)> {
+    use ErrorKind as Kind;
+    let named = |map: &str, name: &str| json!({"map": map, "name": name});
+    let export = |more: Value| {
+        let mut request = json!({"map": "hall"});
+        request.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        Call::ExportMap(from(request))
+    };
+    let file = map_file(3);
+    let mut changed = file.clone();
+    changed[60] ^= 1;
+    let import = |map: &str, file: &[u8]| Call::ImportMap(map.to_owned(), file.to_vec());
+    vec![
+        (Kind::MapNotFound, Call::CreateSnapshot(from(named("nowhere", "a")))),
+        (Kind::MapNotFound, Call::ListSnapshots(from(json!({"map": "nowhere"})))),
+        (Kind::MapNotFound, Call::RestoreSnapshot(from(named("nowhere", "a")))),
+        (Kind::MapNotFound, Call::DeleteSnapshot(from(named("nowhere", "a")))),
+        (Kind::MapNotFound, Call::ExportMap(from(json!({"map": "nowhere"})))),
+        (Kind::SnapshotNotFound, Call::RestoreSnapshot(from(named("hall", "three")))),
+        (Kind::SnapshotNotFound, Call::DeleteSnapshot(from(named("hall", "three")))),
+        (Kind::SnapshotNotFound, export(json!({"snapshot": "three"}))),
+        (Kind::SnapshotExists, Call::CreateSnapshot(from(named("hall", "one")))),
+        (Kind::TooManySnapshots, Call::CreateSnapshot(from(named("hall", "three")))),
+        (Kind::InvalidName, Call::CreateSnapshot(from(named("hall", "a b")))),
+        (Kind::InvalidName, Call::CreateSnapshot(from(named("hall", "")))),
+        (Kind::InvalidName, Call::RestoreSnapshot(from(named("hall", "-a")))),
+        (Kind::InvalidName, Call::DeleteSnapshot(from(named("hall", "-a")))),
+        (Kind::InvalidName, export(json!({"snapshot": "-a"}))),
+        (Kind::InvalidName, import("Hall", &file)),
+        (Kind::InvalidRequest, export(json!({"depth": 3}))),
+        (Kind::InvalidRequest, export(json!({"mode": "EXPORT_MODE_SCALE"}))),
+        (Kind::DepthOutOfRange, export(json!({"format": "EXPORT_FORMAT_NAV2", "depth": 9}))),
+        (Kind::RegionTooLarge, export(json!({"format": "EXPORT_FORMAT_NAV2"}))),
+        (Kind::MapExists, import("hall", &file)),
+        (Kind::InvalidFile, import("copy", b"")),
+        (Kind::InvalidFile, import("copy", &file[..file.len() - 3])),
+        (Kind::InvalidFile, import("copy", &changed)),
+        (Kind::BodyTooLarge, import("copy", &[0; 30_000])),
     ]
 }
 
@@ -151,6 +233,16 @@ fn same(what: &str, told: Vec<Outcome>) -> Outcome {
     told.into_iter().next().unwrap()
 }
 
+/// The one outcome of a call on all transports. Where one does not have it, its site is called by REST, so that what
+/// follows finds the same there.
+#[track_caller]
+fn told(sites: &[(Transport, Site)], call: &Call) -> Outcome {
+    let ask = |(kind, (transport, site)): (&Kind, &(Transport, Site))| {
+        if call.is_on(*kind) { transport.call(site, call) } else { Transport::Rest.call(site, call) }
+    };
+    same(&format!("{call:?}"), TRANSPORTS.iter().zip(sites).map(ask).collect())
+}
+
 #[test]
 fn answers_are_equal_on_all_transports() {
     let sites = sites(|_| {});
@@ -158,9 +250,8 @@ fn answers_are_equal_on_all_transports() {
         // Made anew by the first case.
         assert_eq!(site.send("DELETE", "/v1/maps/hall", &[], b"").status, 204);
     }
-    for call in answered() {
-        let told = sites.iter().map(|(transport, site)| transport.call(site, &call)).collect();
-        let outcome = same(&format!("{call:?}"), told);
+    for call in answered().into_iter().chain(answered_kept()) {
+        let outcome = told(&sites, &call);
         assert!(outcome.is_ok(), "{call:?}: {outcome:?}");
     }
 }
@@ -170,11 +261,14 @@ fn refusals_are_equal_on_all_transports() {
     let sites = sites(low);
     for (_, site) in &sites {
         assert_eq!(site.post("/v1/maps/hall/scans", &scan(1).to_string()).json()["applied"], 1);
+        for name in ["one", "two"] {
+            let request = json!({"name": name}).to_string();
+            assert_eq!(site.post("/v1/maps/hall/snapshots", &request).status, 201);
+        }
     }
     let before: Vec<_> = sites.iter().map(|(_, site)| site.get("/v1/maps/hall").json()["revision"].clone()).collect();
-    for (kind, call) in refused() {
-        let told = sites.iter().map(|(transport, site)| transport.call(site, &call)).collect();
-        let refusal = same(&format!("{call:?}"), told).unwrap_err();
+    for (kind, call) in refused().into_iter().chain(refused_kept()) {
+        let refusal = told(&sites, &call).unwrap_err();
         assert_eq!(refusal.code, kind.code(), "{call:?}: {refusal:?}");
     }
     let filled = create("second", json!({}));
@@ -182,8 +276,8 @@ fn refusals_are_equal_on_all_transports() {
     for (transport, site) in &sites {
         transport.call(site, &filled).unwrap();
     }
-    let told = sites.iter().map(|(transport, site)| transport.call(site, &full)).collect();
-    assert_eq!(same("a third map", told).unwrap_err().code, "TOO_MANY_MAPS");
+    assert_eq!(told(&sites, &full).unwrap_err().code, "TOO_MANY_MAPS");
+    assert_eq!(told(&sites, &Call::ImportMap("third".to_owned(), map_file(3))).unwrap_err().code, "TOO_MANY_MAPS");
     let after: Vec<_> = sites.iter().map(|(_, site)| site.get("/v1/maps/hall").json()["revision"].clone()).collect();
     assert_eq!(before, after, "a refusal changed a map");
 }
@@ -264,7 +358,9 @@ fn every_kind() -> Vec<ErrorKind> {
     use ErrorKind as Kind;
     let next = |kind: Kind| match kind {
         Kind::MapNotFound => Some(Kind::MapExists),
-        Kind::MapExists => Some(Kind::InvalidName),
+        Kind::MapExists => Some(Kind::SnapshotNotFound),
+        Kind::SnapshotNotFound => Some(Kind::SnapshotExists),
+        Kind::SnapshotExists => Some(Kind::InvalidName),
         Kind::InvalidName => Some(Kind::InvalidConfig),
         Kind::InvalidConfig => Some(Kind::InvalidRequest),
         Kind::InvalidRequest => Some(Kind::InvalidRegion),
@@ -276,7 +372,9 @@ fn every_kind() -> Vec<ErrorKind> {
         Kind::TooManyPoints => Some(Kind::TooManyRegions),
         Kind::TooManyRegions => Some(Kind::TooManyScans),
         Kind::TooManyScans => Some(Kind::TooManyMaps),
-        Kind::TooManyMaps => Some(Kind::BodyTooLarge),
+        Kind::TooManyMaps => Some(Kind::TooManySnapshots),
+        Kind::TooManySnapshots => Some(Kind::InvalidFile),
+        Kind::InvalidFile => Some(Kind::BodyTooLarge),
         Kind::BodyTooLarge => Some(Kind::ToleranceTooHigh),
         Kind::ToleranceTooHigh => Some(Kind::UnsupportedMediaType),
         Kind::UnsupportedMediaType => Some(Kind::NotAcceptable),
@@ -296,7 +394,7 @@ fn every_kind() -> Vec<ErrorKind> {
 
 #[test]
 fn every_kind_of_error_is_in_the_table() {
-    let mut covered: BTreeSet<&str> = refused().iter().map(|(kind, _)| kind.code()).collect();
+    let mut covered: BTreeSet<&str> = refused().iter().chain(&refused_kept()).map(|(kind, _)| kind.code()).collect();
     covered.extend(troubles().iter().map(|(kind, ..)| kind.code()));
     covered.extend([ErrorKind::TooManyMaps, ErrorKind::MapDamaged].map(ErrorKind::code));
     covered.extend(ELSEWHERE.map(ErrorKind::code));

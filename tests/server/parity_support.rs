@@ -31,8 +31,31 @@ pub enum Call {
     GetChanges(v1::GetChangesRequest),
     /// Bytes that are no message, where classes are asked for.
     Broken(Vec<u8>),
-    /// What is in the interface and not there yet.
-    Snapshots,
+    CreateSnapshot(v1::CreateSnapshotRequest),
+    ListSnapshots(v1::ListSnapshotsRequest),
+    RestoreSnapshot(v1::RestoreSnapshotRequest),
+    DeleteSnapshot(v1::DeleteSnapshotRequest),
+    /// Told as its revision, its length and the sum of its bytes.
+    ExportMap(v1::ExportMapRequest),
+    ImportMap(String, Vec<u8>),
+    /// What is not in the interface.
+    Nothing,
+}
+
+impl Call {
+    /// Snapshots and files are not on Zenoh.
+    pub fn is_on(&self, kind: Kind) -> bool {
+        let kept = matches!(
+            self,
+            Self::CreateSnapshot(_)
+                | Self::ListSnapshots(_)
+                | Self::RestoreSnapshot(_)
+                | Self::DeleteSnapshot(_)
+                | Self::ExportMap(_)
+                | Self::ImportMap(..)
+        );
+        kind != Kind::Zenoh || !kept
+    }
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -88,11 +111,13 @@ fn told<M: Serialize>(message: &M) -> Value {
     value
 }
 
-/// When a map was created differs from server to server.
+/// When a map was created and changed differs from server to server.
 fn forget_times(value: &mut Value) {
     match value {
         Value::Object(fields) => {
-            fields.remove("created");
+            for time in ["created", "changed", "last_change"] {
+                fields.remove(time);
+            }
             fields.values_mut().for_each(forget_times);
         }
         Value::Array(values) => values.iter_mut().for_each(forget_times),
@@ -135,8 +160,54 @@ fn rest(site: &Site, call: &Call) -> Outcome {
             let headers = [("content-type", "application/x-protobuf")];
             outcome::<v1::GetClassesResponse>(&site.send("POST", "/v1/maps/hall/classes", &headers, bytes))
         }
-        Call::Snapshots => rest_json::<v1::ListSnapshotsResponse>(site, "GET", "/v1/maps/hall/snapshots", ""),
+        Call::Nothing => rest_json::<v1::ListSnapshotsResponse>(site, "GET", "/v1/maps/hall/nothing", ""),
+        kept => rest_kept(site, kept),
     }
+}
+
+/// Snapshots and files.
+fn rest_kept(site: &Site, call: &Call) -> Outcome {
+    match call {
+        Call::CreateSnapshot(r) => rest_post::<v1::CreateSnapshotResponse>(site, &r.map, "snapshots", r),
+        Call::ListSnapshots(r) => {
+            rest_json::<v1::ListSnapshotsResponse>(site, "GET", &format!("/v1/maps/{}/snapshots", r.map), "")
+        }
+        Call::RestoreSnapshot(r) => {
+            rest_post::<v1::RestoreSnapshotResponse>(site, &r.map, &format!("snapshots/{}/restore", r.name), r)
+        }
+        Call::DeleteSnapshot(r) => {
+            let path = format!("/v1/maps/{}/snapshots/{}", r.map, r.name);
+            rest_json::<v1::DeleteSnapshotResponse>(site, "DELETE", &path, "")
+        }
+        Call::ExportMap(r) => {
+            let mut path = format!("/v1/maps/{}/export?", r.map);
+            if r.format() == v1::ExportFormat::Nav2 {
+                path.push_str("format=nav2");
+            }
+            if r.mode() == v1::ExportMode::Scale {
+                path.push_str("&mode=scale");
+            }
+            if let Some(depth) = r.depth {
+                path.push_str(&format!("&depth={depth}"));
+            }
+            if !r.snapshot.is_empty() {
+                path.push_str(&format!("&snapshot={}", r.snapshot));
+            }
+            let answer = site.get(&path.replace("?&", "?"));
+            if answer.status != 200 {
+                return outcome::<v1::ImportMapResponse>(&answer);
+            }
+            Ok(told_file(answer.header("ubbmap-revision").unwrap().parse().unwrap(), &answer.body))
+        }
+        Call::ImportMap(map, file) => {
+            outcome::<v1::ImportMapResponse>(&site.send("PUT", &format!("/v1/maps/{map}/import"), &[], file))
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+fn told_file(revision: u64, bytes: &[u8]) -> Value {
+    serde_json::json!({"revision": revision, "length": bytes.len(), "sum": crc32c::crc32c(bytes)})
 }
 
 fn rest_post<T: DeserializeOwned + Serialize>(site: &Site, map: &str, what: &str, request: &impl Serialize) -> Outcome {
@@ -185,6 +256,12 @@ fn grpc(site: &Site, mut client: Client, call: &Call) -> Outcome {
         let headers: tonic::codegen::http::HeaderMap = pairs.collect();
         return Err(of_status(&Status::from_header_map(&headers).unwrap()));
     }
+    if let Call::Nothing = call {
+        let (_, trailers) = site.web("Nothing", b"");
+        let pairs = trailers.iter().map(|(name, value)| (name.parse().unwrap(), value.parse().unwrap()));
+        let headers: tonic::codegen::http::HeaderMap = pairs.collect();
+        return Err(of_status(&Status::from_header_map(&headers).unwrap()));
+    }
     site.run(async {
         match call.clone() {
             Call::CreateMap(r) => of(client.create_map(r).await),
@@ -198,10 +275,31 @@ fn grpc(site: &Site, mut client: Client, call: &Call) -> Outcome {
             Call::GetTile(r) => of(client.get_tile(r).await),
             Call::CheckGuaranteedFree(r) => of(client.check_guaranteed_free(r).await),
             Call::GetChanges(r) => of(client.get_changes(r).await),
-            Call::Snapshots => of(client.list_snapshots(v1::ListSnapshotsRequest { map: "hall".to_owned() }).await),
-            Call::Broken(_) => panic!("taken above"),
+            Call::CreateSnapshot(r) => of(client.create_snapshot(r).await),
+            Call::ListSnapshots(r) => of(client.list_snapshots(r).await),
+            Call::RestoreSnapshot(r) => of(client.restore_snapshot(r).await),
+            Call::DeleteSnapshot(r) => of(client.delete_snapshot(r).await),
+            Call::ExportMap(r) => {
+                let mut pieces = client.export_map(r).await.map_err(|status| of_status(&status))?.into_inner();
+                let (mut revision, mut file) = (0, Vec::new());
+                while let Some(piece) = pieces.message().await.unwrap() {
+                    assert!(!piece.data.is_empty() && piece.data.len() <= 65_536, "{}", piece.data.len());
+                    revision = piece.revision;
+                    file.extend_from_slice(&piece.data);
+                }
+                Ok(told_file(revision, &file))
+            }
+            Call::ImportMap(map, file) => of(client.import_map(tokio_stream::iter(pieces(&map, &file))).await),
+            Call::Broken(_) | Call::Nothing => panic!("taken above"),
         }
     })
+}
+
+/// A file as messages; only the first names the map.
+pub fn pieces(map: &str, file: &[u8]) -> Vec<v1::ImportMapRequest> {
+    let mut pieces = vec![v1::ImportMapRequest { map: map.to_owned(), data: Vec::new() }];
+    pieces.extend(file.chunks(8192).map(|data| v1::ImportMapRequest { map: String::new(), data: data.to_vec() }));
+    pieces
 }
 
 fn of_status(status: &Status) -> Refusal {
@@ -233,7 +331,8 @@ async fn over_zenoh(session: &Session, call: &Call) -> Outcome {
         }
         Call::GetChanges(r) => zenoh_call::<v1::GetChangesResponse>(session, &map(&r.map, "/changes"), r).await,
         Call::Broken(bytes) => zenoh_bytes::<v1::GetClassesResponse>(session, &map("hall", "/classes"), bytes).await,
-        Call::Snapshots => zenoh_bytes::<v1::ListSnapshotsResponse>(session, &map("hall", "/snapshots"), b"").await,
+        Call::Nothing => zenoh_bytes::<v1::ListSnapshotsResponse>(session, &map("hall", "/nothing"), b"").await,
+        other => panic!("not on Zenoh: {other:?}"),
     }
 }
 

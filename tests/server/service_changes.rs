@@ -3,14 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 use super::logs_real::data;
-use super::service_support::{TestStore, config, hall, map_name, open, ring};
+use super::service_support::{Keeping, TestStore, config, hall, map_name, open, ring, snapshot_name};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use ubbmap::logs::{LogPose, LogReader};
 use ubbmap::sensor::ScanLimits;
 use ubbmap::service::{
-    BoxQuery, Changes, ChangesQuery, ErrorKind, MapService, Raster, RawPose, ScanInput, ServiceSettings, Watch,
+    BoxQuery, Changes, ChangesQuery, ErrorKind, ExportForm, MapService, Raster, RawPose, ScanInput, ServiceSettings,
+    Watch,
 };
 use ubbmap::store::MapName;
 
@@ -85,28 +86,85 @@ async fn changes_name_the_blocks_that_the_store_was_given_since() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_history_that_does_not_reach_back_says_so() {
+async fn what_the_log_has_forgotten_is_told_all_the_same_also_after_a_restart() {
     let store = TestStore::new();
+    // Four commits or so.
     let settings = ServiceSettings { max_changes: 40, ..ServiceSettings::default() };
-    let (service, name) = hall(&store, settings).await;
+    let (service, name) = hall(&store, settings.clone()).await;
     for step in 0..20 {
         insert(&service, &name, ring("a", Some(step), 0.3 * step as f64 - 3.0)).await;
     }
-    let everything: Vec<bool> = {
-        let mut told = Vec::new();
-        for since in 0..=20 {
-            told.push(service.changes(&name, since, &ChangesQuery::default()).await.unwrap().everything);
+    service.take_snapshot(&name, &snapshot_name("then")).await.unwrap();
+    insert(&service, &name, ring("b", Some(0), 5.0)).await;
+    service.restore_snapshot(&name, &snapshot_name("then")).await.unwrap();
+    let commits = store.commits();
+    let restarted = open(&store, settings);
+    for since in 0..=22 {
+        let mut expected = BTreeMap::new();
+        for commit in commits.iter().filter(|commit| commit.revision > since) {
+            expected.extend(commit.blocks.iter().map(|block| (block.morton(), (block.x, block.y, commit.revision))));
         }
-        told
-    };
-    let reach = everything.iter().position(|everything| !everything).unwrap();
-    assert!((1..20).contains(&reach), "{everything:?}");
-    assert!(everything[..reach].iter().all(|told| *told) && everything[reach..].iter().all(|told| !told));
-    // A restart forgets: what is asked from before it is everything, what is asked from then on is told.
-    let service = open(&store, ServiceSettings::default());
-    assert!(service.changes(&name, 19, &ChangesQuery::default()).await.unwrap().everything);
-    let now = service.changes(&name, 20, &ChangesQuery::default()).await.unwrap();
-    assert!(!now.everything && now.blocks.is_empty());
+        let expected: Vec<_> = expected.into_values().collect();
+        let mut told = Vec::new();
+        for service in [&service, &restarted] {
+            let changes = service.changes(&name, since, &contents(BoxQuery::default())).await.unwrap();
+            let named: Vec<_> = changes.blocks.iter().map(|b| (b.node.x, b.node.y, b.revision)).collect();
+            assert_eq!((named, changes.everything), (expected.clone(), false), "since {since}");
+            assert!(changes.blocks.iter().all(|block| block.changed.is_some()));
+            told.push(changes);
+        }
+        assert_eq!(told[0], told[1], "the same times and contents, since {since}");
+    }
+    // Of a revision that is yet to come nothing can be told.
+    assert!(restarted.changes(&name, 23, &ChangesQuery::default()).await.unwrap().everything);
+    // What a watch missed while the server was away.
+    let mut watch = restarted.watch(&name, Some(3), ChangesQuery::default()).await.unwrap();
+    let missed = next(&mut watch).await;
+    assert_eq!((missed.since, missed.revision, missed.everything), (3, 22, false));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn blocks_tell_the_revision_and_the_time_of_their_last_change() {
+    let now = || std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
+    for keeping in Keeping::all() {
+        let service = keeping.service(ServiceSettings::default());
+        let name = map_name("hall");
+        service.create_map(&name, config()).await.unwrap();
+        let whole = BoxQuery::default();
+        let empty = service.region_with(&name, &whole, true).await.unwrap();
+        assert_eq!((empty.last_change, empty.blocks.len()), (None, 0));
+        assert_eq!(service.map(&name).await.unwrap().last_change, None);
+        let mut times = vec![now()];
+        for step in 0..5 {
+            insert(&service, &name, ring("a", Some(step), 2.0 * step as f64 - 4.0)).await;
+            times.push(now());
+        }
+        for (at, service) in [&service, &keeping.service(ServiceSettings::default())].into_iter().enumerate() {
+            for depth in [8, 3, 2, 1, 0] {
+                let area = BoxQuery { depth: Some(depth), ..whole };
+                let region = service.region_with(&name, &area, true).await.unwrap();
+                let query = ChangesQuery { area, contents: false };
+                let changes = service.changes(&name, 0, &query).await.unwrap();
+                assert_eq!(region.blocks, changes.blocks, "{} {at} at depth {depth}", keeping.what);
+                assert!(!region.blocks.is_empty());
+                for block in &region.blocks {
+                    let (time, revision) = (block.changed.unwrap(), block.revision as usize);
+                    assert!(times[revision - 1] <= time && time <= times[revision], "{block:?}");
+                }
+                let newest = region.blocks.iter().max_by_key(|block| block.revision).unwrap().changed;
+                assert_eq!((region.last_change, service.map(&name).await.unwrap().last_change), (newest, newest));
+                let plain = service.region(&name, &area).await.unwrap();
+                assert_eq!((plain.last_change, plain.blocks.len()), (newest, 0));
+            }
+            // The first scan alone reaches so far to the left; no scan into the corner.
+            let left = BoxQuery { max_x: Some(-6.5), min_y: Some(-1.0), max_y: Some(1.0), ..whole };
+            let region = service.region_with(&name, &left, true).await.unwrap();
+            assert!(region.last_change.unwrap() <= times[2], "{region:?}");
+            let corner = BoxQuery { min_x: Some(9.0), min_y: Some(9.0), ..whole };
+            let region = service.region_with(&name, &corner, true).await.unwrap();
+            assert_eq!((region.last_change, region.blocks.len()), (None, 0));
+        }
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -124,6 +182,13 @@ async fn a_copy_kept_by_changes_is_the_map_at_every_depth_and_in_every_box() {
     }
     for step in 0..30 {
         insert(&service, &name, ring("a", Some(step), 0.3 * step as f64 - 4.0)).await;
+        // Now and then the map goes back by some scans, or to the beginning.
+        match step {
+            4 | 20 => drop(service.take_snapshot(&name, &snapshot_name(&format!("s{step}"))).await.unwrap()),
+            9 | 13 | 25 => drop(service.restore_snapshot(&name, &snapshot_name("s4")).await.unwrap()),
+            26 => drop(service.restore_snapshot(&name, &snapshot_name("s20")).await.unwrap()),
+            _ => {}
+        }
         for (at, (area, copy, watch)) in copies.iter_mut().enumerate() {
             // Some look seldom: they find several commits put together.
             if step % (1 + at as u64 % 4) == 0 || step == 29 {
@@ -131,6 +196,19 @@ async fn a_copy_kept_by_changes_is_the_map_at_every_depth_and_in_every_box() {
                 assert_eq!(copy.raster, service.grid(&name, area).await.unwrap(), "{area:?} at {step}");
             }
         }
+    }
+    // A map made of a file goes on in the same way from the revision of the file.
+    let file = service.export(&name, None, ExportForm::Ubbmap).await.unwrap();
+    let twin = map_name("twin");
+    service.import(&twin, file.bytes).await.unwrap();
+    let area = BoxQuery { depth: Some(6), ..BoxQuery::default() };
+    let mut copy = Copy::of(&service, &twin, &area).await;
+    assert_eq!(copy.raster.classes, service.grid(&name, &area).await.unwrap().classes);
+    let mut watch = service.watch(&twin, Some(file.revision), contents(area)).await.unwrap();
+    for step in 40..50 {
+        insert(&service, &twin, ring("a", Some(step), 0.7 * step as f64 - 32.0)).await;
+        copy.take(&next(&mut watch).await);
+        assert_eq!(copy.raster, service.grid(&twin, &area).await.unwrap(), "the twin at {step}");
     }
 }
 
@@ -174,8 +252,10 @@ async fn a_watch_that_nobody_reads_holds_up_nobody_and_is_told_what_it_missed() 
     for step in 10..60 {
         insert(&service, &name, ring("a", Some(step), place(step))).await;
     }
+    // The log has forgotten most of it.
     let missed = next(&mut slow).await;
-    assert_eq!((missed.since, missed.revision, missed.everything), (10, 60, true));
+    assert_eq!((missed.since, missed.revision, missed.everything), (10, 60, false));
+    assert_eq!(missed.blocks, service.changes(&name, 10, &ChangesQuery::default()).await.unwrap().blocks);
     insert(&service, &name, ring("a", Some(60), place(60))).await;
     let after = next(&mut slow).await;
     assert_eq!((after.since, after.revision, after.everything), (60, 61, false));

@@ -8,11 +8,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 use ubbmap::mapping::{EvidenceRule, MapConfig, Surveyor};
-use ubbmap::quadtree::{BlockAddress, BlockView, ClassScale, Grid, Leaf, LeafRange, OccupancyTree};
+use ubbmap::quadtree::{
+    BlockAddress, BlockCache, BlockView, ClassScale, Grid, Leaf, LeafRange, OccupancyTree, PagedTree,
+};
 use ubbmap::sensor::{Angles, PoseBox, PoseLimits, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
 use ubbmap::service::{BoxQuery, InsertAnswer, MapService, RawPose, ScanInput, ServiceSettings};
 use ubbmap::store::{
-    Commit, DamagedMap, LoadedMap, MapId, MapName, MapStore, RobotName, SequenceWindow, StoreError, StoredMap,
+    BlockStamp, BlockStamps, Commit, DamagedMap, Difference, LoadedMap, MapId, MapName, MapStore, MemoryStore, OpenMap,
+    RobotName, SequenceWindow, SledOptions, SledStore, SnapshotName, StoreError, StoredMap, StoredSnapshot,
 };
 
 /// What one commit of the store held.
@@ -36,8 +39,35 @@ struct Kept {
     map: StoredMap,
     /// The store cannot read what the map is.
     damaged: bool,
+    now: Contents,
+    stamps: BlockStamps,
+    snapshots: BTreeMap<SnapshotName, (StoredSnapshot, Contents)>,
+}
+
+/// A map's content at one revision.
+#[derive(Clone, Default)]
+struct Contents {
     blocks: BTreeMap<u64, BlockView>,
     windows: BTreeMap<RobotName, SequenceWindow>,
+}
+
+impl Kept {
+    fn new(map: StoredMap, now: Contents) -> Self {
+        let stamps = BlockStamps::new(map.revision);
+        Self { map, damaged: false, now, stamps, snapshots: BTreeMap::new() }
+    }
+
+    fn loaded(&self, contents: &Contents, revision: u64) -> LoadedMap {
+        let mut tree = OccupancyTree::new(self.map.config.grid().depth(), self.map.config.scale());
+        for (morton, view) in &contents.blocks {
+            tree.set_block(BlockAddress::from_morton(*morton), view.clone());
+        }
+        LoadedMap { revision, tree, windows: contents.windows.clone() }
+    }
+
+    fn snapshot(&self, name: &SnapshotName) -> Result<&(StoredSnapshot, Contents), StoreError> {
+        self.snapshots.get(name).ok_or_else(|| StoreError::NoSnapshot(name.clone()))
+    }
 }
 
 struct Inside {
@@ -139,9 +169,90 @@ impl MapStore for TestStore {
             let id = MapId(inside.next);
             inside.next += 1;
             let map = StoredMap { id, name: name.clone(), config: config.clone(), revision: 0, created };
-            inside.maps.insert(id, Kept { map, damaged: false, blocks: BTreeMap::new(), windows: BTreeMap::new() });
+            inside.maps.insert(id, Kept::new(map, Contents::default()));
             Ok(id)
         })
+    }
+
+    fn import(
+        &self,
+        name: &MapName,
+        config: &MapConfig,
+        created: f64,
+        contents: &LoadedMap,
+    ) -> Result<MapId, StoreError> {
+        self.wait();
+        self.write(|inside| {
+            if inside.maps.values().any(|kept| kept.map.name == *name) {
+                return Err(StoreError::Exists(name.clone()));
+            }
+            let id = MapId(inside.next);
+            inside.next += 1;
+            let revision = contents.revision;
+            let map = StoredMap { id, name: name.clone(), config: config.clone(), revision, created };
+            let mut now = Contents { blocks: BTreeMap::new(), windows: contents.windows.clone() };
+            contents.tree.visit_blocks(&mut |address, view| {
+                now.blocks.insert(address.morton(), view.clone());
+            });
+            inside.maps.insert(id, Kept::new(map, now));
+            Ok(id)
+        })
+    }
+
+    fn snapshots(&self, id: MapId) -> Result<Vec<StoredSnapshot>, StoreError> {
+        let inside = self.inside.lock().unwrap();
+        let kept = inside.maps.get(&id).ok_or(StoreError::NoMap(id))?;
+        Ok(kept.snapshots.values().map(|(snapshot, _)| snapshot.clone()).collect())
+    }
+
+    fn take_snapshot(&self, id: MapId, name: &SnapshotName, created: f64) -> Result<StoredSnapshot, StoreError> {
+        self.wait();
+        self.write(|inside| {
+            let kept = inside.maps.get_mut(&id).ok_or(StoreError::NoMap(id))?;
+            assert!(!kept.snapshots.contains_key(name), "the service looks first");
+            let snapshot = StoredSnapshot { name: name.clone(), revision: kept.map.revision, created };
+            kept.snapshots.insert(name.clone(), (snapshot.clone(), kept.now.clone()));
+            Ok(snapshot)
+        })
+    }
+
+    fn delete_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
+        self.write(|inside| {
+            let kept = inside.maps.get_mut(&id).ok_or(StoreError::NoMap(id))?;
+            kept.snapshots.remove(name).map(|_| ()).ok_or_else(|| StoreError::NoSnapshot(name.clone()))
+        })
+    }
+
+    fn load_snapshot(&self, id: MapId, name: &SnapshotName) -> Result<LoadedMap, StoreError> {
+        let inside = self.inside.lock().unwrap();
+        let kept = inside.maps.get(&id).ok_or(StoreError::NoMap(id))?;
+        let (snapshot, contents) = kept.snapshot(name)?;
+        Ok(kept.loaded(contents, snapshot.revision))
+    }
+
+    fn difference(&self, id: MapId, name: &SnapshotName) -> Result<Difference, StoreError> {
+        let inside = self.inside.lock().unwrap();
+        let kept = inside.maps.get(&id).ok_or(StoreError::NoMap(id))?;
+        let (snapshot, then) = kept.snapshot(name)?;
+        let unknown = BlockView::Uniform(kept.map.config.scale().unknown());
+        let mut blocks = Vec::new();
+        for code in kept.now.blocks.keys() {
+            let old = then.blocks.get(code).unwrap_or(&unknown);
+            if kept.now.blocks[code] != *old {
+                blocks.push((BlockAddress::from_morton(*code), old.clone()));
+            }
+        }
+        let mut windows = Vec::new();
+        for (robot, window) in &kept.now.windows {
+            let old = then.windows.get(robot).cloned().unwrap_or_default();
+            if old != *window {
+                windows.push((robot.clone(), old));
+            }
+        }
+        for (robot, old) in then.windows.iter().filter(|(robot, _)| !kept.now.windows.contains_key(*robot)) {
+            windows.push((robot.clone(), old.clone()));
+        }
+        Ok(Difference { revision: snapshot.revision, blocks, windows })
     }
 
     fn update_config(&self, id: MapId, config: &MapConfig) -> Result<(), StoreError> {
@@ -160,11 +271,13 @@ impl MapStore for TestStore {
         self.wait();
         let inside = self.inside.lock().unwrap();
         let kept = inside.maps.get(&id).ok_or(StoreError::NoMap(id))?;
-        let mut tree = OccupancyTree::new(kept.map.config.grid().depth(), kept.map.config.scale());
-        for (morton, view) in &kept.blocks {
-            tree.set_block(BlockAddress::from_morton(*morton), view.clone());
-        }
-        Ok(LoadedMap { revision: kept.map.revision, tree, windows: kept.windows.clone() })
+        Ok(kept.loaded(&kept.now, kept.map.revision))
+    }
+
+    fn open(&self, id: MapId, _: &Arc<BlockCache>) -> Result<OpenMap, StoreError> {
+        let LoadedMap { revision, tree, windows } = self.load(id)?;
+        let stamps = self.inside.lock().unwrap().maps[&id].stamps.clone();
+        Ok(OpenMap { revision, tree: PagedTree::from(&tree), pager: None, windows, stamps })
     }
 
     fn failure(&self) -> Option<String> {
@@ -189,8 +302,11 @@ impl MapStore for TestStore {
             let kept = inside.maps.get_mut(&id).ok_or(StoreError::NoMap(id))?;
             assert_eq!(commit.revision, kept.map.revision + 1, "one revision a commit");
             kept.map.revision = commit.revision;
-            kept.blocks.extend(commit.blocks.iter().map(|(address, view)| (address.morton(), view.clone())));
-            kept.windows.extend(commit.windows.iter().cloned());
+            kept.now.blocks.extend(commit.blocks.iter().map(|(address, view)| (address.morton(), view.clone())));
+            let stamp = BlockStamp { revision: commit.revision, changed: commit.changed };
+            commit.addresses().into_iter().for_each(|address| kept.stamps.set(address, stamp));
+            kept.now.windows.extend(commit.windows.iter().cloned());
+            kept.now.windows.retain(|_, window| window.highest().is_some());
             inside.commits.push(Committed {
                 revision: commit.revision,
                 blocks: commit.blocks.iter().map(|(address, _)| *address).collect(),
@@ -234,6 +350,42 @@ pub fn ring(robot: &str, sequence: Option<u64>, place: f64) -> ScanInput {
         sweep_rotation: 0.0,
         sweep_translation: 0.0,
     }
+}
+
+/// Whether the store on disk keeps snapshots and takes maps with contents.
+pub const SLED_KEEPS: bool = false;
+
+/// A store that keeps snapshots, in memory or on disk; the directory lives as long as it is held.
+pub struct Keeping {
+    pub what: &'static str,
+    pub store: Arc<dyn MapStore>,
+    directory: Option<tempfile::TempDir>,
+}
+
+impl Keeping {
+    pub fn all() -> Vec<Self> {
+        let memory = Self { what: "memory", store: Arc::new(MemoryStore::new()), directory: None };
+        let mut all = vec![memory];
+        if SLED_KEEPS {
+            let directory = tempfile::tempdir().unwrap();
+            let store = Arc::new(SledStore::open(directory.path(), SledOptions::default()).unwrap());
+            all.push(Self { what: "sled", store, directory: Some(directory) });
+        }
+        all
+    }
+
+    pub fn service(&self, settings: ServiceSettings) -> MapService {
+        MapService::open(Arc::clone(&self.store), settings).unwrap()
+    }
+
+    /// Whether it is on disk.
+    pub fn is_durable(&self) -> bool {
+        self.directory.is_some()
+    }
+}
+
+pub fn snapshot_name(name: &str) -> SnapshotName {
+    SnapshotName::new(name).unwrap()
 }
 
 pub fn open(store: &Arc<TestStore>, settings: ServiceSettings) -> MapService {

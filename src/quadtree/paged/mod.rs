@@ -18,7 +18,7 @@ pub use cache::{BlockCache, CacheStatistics};
 pub use cell::{Access, BlockCell, BlockPager, BlockSource, BlockTag, Held, PageError, PagedBlock, SourceError};
 
 use super::tree::{Node, Tree};
-use super::{BlockAddress, Class, LeafMasks, OccupancyTree};
+use super::{BlockAddress, BlockView, Class, LeafMasks, OccupancyTree};
 use std::sync::Arc;
 
 /// A map whose blocks are fetched when they are looked into.
@@ -40,6 +40,15 @@ impl PagedTree {
     pub fn place_stored(&mut self, tag: BlockTag, pager: &Arc<BlockPager>) {
         let cell = BlockCell::absent(tag, pager);
         self.place(tag.address, &Node::Block(PagedBlock::Cell(Arc::new(cell))));
+    }
+
+    /// Replaces a block: it is the tree's own until it is [settled](PagedTree::settle). A mixed block of one class becomes
+    /// uniform; an address outside the root is passed over.
+    pub fn replace(&mut self, address: BlockAddress, view: BlockView) {
+        match view {
+            BlockView::Uniform(class) => self.place_uniform(address, class),
+            BlockView::Mixed(block) => self.place(address, &Node::of_block(block, self.depth())),
+        }
     }
 
     fn place(&mut self, address: BlockAddress, new: &Node<PagedBlock>) {
@@ -72,12 +81,28 @@ impl PagedTree {
     /// # Errors
     /// When one of them cannot be read; none is held then.
     pub fn hold_replaced(&self, changed: &[BlockAddress]) -> Result<Held, PageError> {
+        self.hold_readable(changed, |_| false)
+    }
+
+    /// As [`PagedTree::hold_replaced`], but passes over blocks that cannot be read because of `passed`: who looks into one
+    /// of them in this tree is told of damage then, as before the commit.
+    ///
+    /// # Errors
+    /// When one of them cannot be read for another reason; none is held then.
+    pub fn hold_readable(
+        &self,
+        changed: &[BlockAddress],
+        passed: impl Fn(&PageError) -> bool,
+    ) -> Result<Held, PageError> {
         let mut held = Held::default();
         for address in changed {
             if self.holds(*address)
                 && let Node::Block(PagedBlock::Cell(cell)) = self.node_of(*address)
             {
-                held.add(cell)?;
+                match held.add(cell) {
+                    Err(error) if passed(&error) => {}
+                    other => other?,
+                }
             }
         }
         Ok(held)

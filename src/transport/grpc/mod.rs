@@ -32,6 +32,8 @@ const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.b
 pub struct GrpcSettings {
     /// Largest message, bytes.
     pub message_bytes: usize,
+    /// Largest map file that is imported, bytes.
+    pub import_bytes: usize,
     /// Most scans of one stream that are not acknowledged yet.
     pub scans_per_stream: usize,
 }

@@ -56,8 +56,16 @@ pub async fn observe(State(limit): State<usize>, request: Request, next: Next) -
     let mut code = Status::from_header_map(response.headers()).map_or(Code::Ok, |status| status.code());
     // The library refuses a message above the limit before anything of ours sees it; ours come with details.
     let foreign = response.headers().get(Status::GRPC_STATUS_DETAILS).is_none();
-    if code == Code::OutOfRange && foreign {
-        let status = to_status(&too_large(limit));
+    let ours = match code {
+        Code::OutOfRange if foreign => Some(too_large(limit)),
+        // A method that is not in the interface.
+        Code::Unimplemented if foreign => {
+            Some(ServiceError::new(ErrorKind::RouteNotFound, "the service has no such method"))
+        }
+        _ => None,
+    };
+    if let Some(error) = ours {
+        let status = to_status(&error);
         code = status.code();
         response = status.into_http();
     }

@@ -3,10 +3,10 @@
 use super::GrpcSettings;
 use super::generated::map_service_server;
 use super::status::{from_status, to_status};
-use crate::service::{MapService, ServiceError};
+use crate::service::{ErrorKind, MapService, ServiceError};
 use crate::transport::door::Door;
-use crate::transport::{operations, scan_stream, watching};
-use crate::wire::v1;
+use crate::transport::{files, operations, scan_stream, watching};
+use crate::wire::{self, v1};
 use futures_util::StreamExt;
 use std::pin::Pin;
 use tokio::sync::mpsc;
@@ -40,14 +40,33 @@ impl MapRpc {
         };
         answer.await.map(Response::new).map_err(|error| to_status(&error))
     }
+
+    /// A file as its pieces come; nothing is made of one that breaks off.
+    async fn import(&self, mut pieces: Streaming<v1::ImportMapRequest>) -> Result<v1::ImportMapResponse, ServiceError> {
+        let mut map = None;
+        let mut file = files::Incoming::default();
+        while let Some(piece) = pieces.next().await {
+            let piece = piece.map_err(|status| from_status(&status, self.settings.message_bytes))?;
+            match &map {
+                None => map = Some(wire::map_name(&piece.map)?),
+                Some(_) if !piece.map.is_empty() => {
+                    let detail = "map stands in the first message alone";
+                    return Err(ServiceError::new(ErrorKind::InvalidRequest, detail).at("map"));
+                }
+                Some(_) => {}
+            }
+            file.take(&piece.data, self.settings.import_bytes)?;
+        }
+        let map = match map {
+            Some(map) => map,
+            None => wire::map_name("")?,
+        };
+        operations::import_map(&self.service, map.as_str(), file.done()).await
+    }
 }
 
 fn messages<T: Send + 'static>(receiver: mpsc::Receiver<Result<T, ServiceError>>) -> Messages<T> {
     Box::pin(ReceiverStream::new(receiver).map(|message| message.map_err(|error| to_status(&error))))
-}
-
-fn not_there<T>(what: &str) -> Answer<T> {
-    Err(to_status(&operations::not_there(what)))
 }
 
 #[tonic::async_trait]
@@ -125,27 +144,45 @@ impl map_service_server::MapService for MapRpc {
         watch.and_then(|begun| begun).map(messages).map(Response::new).map_err(|error| to_status(&error))
     }
 
-    async fn create_snapshot(&self, _: Request<v1::CreateSnapshotRequest>) -> Answer<v1::CreateSnapshotResponse> {
-        not_there("snapshots")
+    async fn create_snapshot(&self, request: Request<v1::CreateSnapshotRequest>) -> Answer<v1::CreateSnapshotResponse> {
+        self.unary(operations::create_snapshot(&self.service, request.into_inner())).await
     }
 
-    async fn list_snapshots(&self, _: Request<v1::ListSnapshotsRequest>) -> Answer<v1::ListSnapshotsResponse> {
-        not_there("snapshots")
+    async fn list_snapshots(&self, request: Request<v1::ListSnapshotsRequest>) -> Answer<v1::ListSnapshotsResponse> {
+        self.unary(operations::list_snapshots(&self.service, request.into_inner())).await
     }
 
-    async fn restore_snapshot(&self, _: Request<v1::RestoreSnapshotRequest>) -> Answer<v1::RestoreSnapshotResponse> {
-        not_there("snapshots")
+    async fn restore_snapshot(
+        &self,
+        request: Request<v1::RestoreSnapshotRequest>,
+    ) -> Answer<v1::RestoreSnapshotResponse> {
+        self.unary(operations::restore_snapshot(&self.service, request.into_inner())).await
     }
 
-    async fn delete_snapshot(&self, _: Request<v1::DeleteSnapshotRequest>) -> Answer<v1::DeleteSnapshotResponse> {
-        not_there("snapshots")
+    async fn delete_snapshot(&self, request: Request<v1::DeleteSnapshotRequest>) -> Answer<v1::DeleteSnapshotResponse> {
+        self.unary(operations::delete_snapshot(&self.service, request.into_inner())).await
     }
 
-    async fn export_map(&self, _: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
-        not_there("exports")
+    async fn export_map(&self, request: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
+        let request = request.into_inner();
+        let exported = self.unary(async {
+            let place = self.door.transfer()?;
+            Ok((operations::export_map(&self.service, &request).await?, place))
+        });
+        let (file, place) = exported.await?.into_inner();
+        let revision = file.revision;
+        let pieces = files::outgoing(file.bytes.into(), place, &self.door).map(move |piece| {
+            let message = |data: bytes::Bytes| v1::ExportMapResponse { data: data.to_vec(), revision };
+            piece.map(message).map_err(|error| to_status(&error))
+        });
+        Ok(Response::new(Box::pin(pieces)))
     }
 
-    async fn import_map(&self, _: Request<Streaming<v1::ImportMapRequest>>) -> Answer<v1::ImportMapResponse> {
-        not_there("imports")
+    async fn import_map(&self, request: Request<Streaming<v1::ImportMapRequest>>) -> Answer<v1::ImportMapResponse> {
+        let imported = async {
+            let _place = self.door.transfer()?;
+            self.door.timed_transfer(self.import(request.into_inner())).await?
+        };
+        imported.await.map(Response::new).map_err(|error| to_status(&error))
     }
 }

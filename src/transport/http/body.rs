@@ -107,7 +107,11 @@ pub async fn apart<T: Send + 'static>(
     }
 }
 
-async fn collect(mut body: Body, limit: usize) -> Result<Bytes, HttpError> {
+/// Reads a body whole.
+///
+/// # Errors
+/// [`ErrorKind::BodyTooLarge`], [`ErrorKind::InvalidRequest`] for one that breaks off.
+pub async fn collect(mut body: Body, limit: usize) -> Result<Bytes, HttpError> {
     let mut kept: Vec<u8> = Vec::new();
     let mut only = Bytes::new();
     let mut total = 0;

@@ -17,12 +17,14 @@ mod rasters;
 mod respond;
 mod scans;
 mod serve;
+mod snapshots;
 mod system;
+mod transfer;
 
 use super::door::Door;
 use crate::service::MapService;
 use axum::Router;
-use axum::routing::{get, post};
+use axum::routing::{delete, get, post, put};
 use std::sync::Arc;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
@@ -38,6 +40,8 @@ pub struct HttpSettings {
     pub body_bytes: usize,
     /// Largest body of a map configuration, bytes.
     pub config_bytes: usize,
+    /// Largest map file that is imported, bytes.
+    pub import_bytes: usize,
     /// Most scans of one stream that are not acknowledged yet.
     pub scans_per_stream: usize,
 }
@@ -78,6 +82,11 @@ pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: 
         .route("/v1/maps/{map}/changes", get(changes::since))
         .route("/v1/maps/{map}/events", get(changes::events))
         .route("/v1/maps/{map}/tiles/{z}/{x}/{y}", get(rasters::tile))
+        .route("/v1/maps/{map}/snapshots", get(snapshots::list).post(snapshots::create))
+        .route("/v1/maps/{map}/snapshots/{name}", delete(snapshots::delete))
+        .route("/v1/maps/{map}/snapshots/{name}/restore", post(snapshots::restore))
+        .route("/v1/maps/{map}/export", get(transfer::export))
+        .route(observe::IMPORT, put(transfer::import))
         .fallback(system::route_not_found)
         .method_not_allowed_fallback(system::method_not_allowed)
         .layer(CatchPanicLayer::custom(observe::panicked))

@@ -15,6 +15,9 @@ use std::time::Instant;
 /// What begins with this is limited; health and metrics answer also when the server is full.
 const OPERATIONS: &str = "/v1/";
 
+/// Its body is a whole map and may be long on its way: it has a time and places of its own.
+pub const IMPORT: &str = "/v1/maps/{map}/import";
+
 const SECONDS: &str = "ubbmap_http_request_seconds";
 const TOTAL: &str = "ubbmap_http_requests_total";
 
@@ -34,7 +37,7 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let response = limited(&app, request, next).await;
+    let response = limited(&app, request, next, route == IMPORT).await;
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
     histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());
@@ -43,8 +46,12 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     response
 }
 
-async fn limited(app: &Shared, request: Request, next: Next) -> Response {
+async fn limited(app: &Shared, request: Request, next: Next, import: bool) -> Response {
     let answered = async {
+        if import {
+            let _place = app.door.transfer()?;
+            return app.door.timed_transfer(next.run(request)).await;
+        }
         let _place = if request.uri().path().starts_with(OPERATIONS) { Some(app.door.request()?) } else { None };
         app.door.timed(next.run(request)).await
     };

@@ -10,6 +10,15 @@ use axum::http::request::Parts;
 #[derive(Debug)]
 pub struct MapPath(pub MapName);
 
+/// The map and snapshot that the path names.
+#[derive(Debug)]
+pub struct SnapshotPath {
+    /// The map.
+    pub map: MapName,
+    /// The snapshot, not checked yet.
+    pub name: String,
+}
+
 /// The map and tile that the path names; the last part with its ending.
 #[derive(Debug)]
 pub struct TilePath {
@@ -29,6 +38,15 @@ impl<S: Send + Sync> FromRequestParts<S> for MapPath {
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, HttpError> {
         let params = raw(parts, state).await?;
         Ok(Self(wire::map_name(&get(&params, "map"))?))
+    }
+}
+
+impl<S: Send + Sync> FromRequestParts<S> for SnapshotPath {
+    type Rejection = HttpError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, HttpError> {
+        let params = raw(parts, state).await?;
+        Ok(Self { map: wire::map_name(&get(&params, "map"))?, name: get(&params, "name") })
     }
 }
 

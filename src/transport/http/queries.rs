@@ -5,6 +5,7 @@ use super::params::{no_params, params};
 use super::path::MapPath;
 use super::{App, HttpError, accept, respond};
 use crate::quadtree::Leaf;
+use crate::service::BlockChange;
 use crate::wire::{self, v1};
 use axum::extract::{Request, State};
 use axum::response::Response;
@@ -59,9 +60,9 @@ pub async fn guaranteed_free(
 /// `GET /v1/maps/{map}/region`
 pub async fn region(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth"])?;
+    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "blocks"])?;
     let form = accept::message(request.headers())?;
-    let answer = app.service.region(&map, &params.box_query()?).await?;
-    let size = answer.leaves.len() * size_of::<Leaf>();
+    let answer = app.service.region_with(&map, &params.box_query()?, params.flag("blocks")?).await?;
+    let size = answer.leaves.len() * size_of::<Leaf>() + answer.blocks.len() * size_of::<BlockChange>();
     respond::message(form, wire::region_response(answer), size).await
 }

@@ -131,7 +131,7 @@ fn entity_tag(raster: &Raster, form: Form) -> HeaderValue {
 }
 
 /// Does `If-None-Match` hold the tag? Compared weakly (RFC 9110, 13.1.2).
-fn matches(headers: &HeaderMap, tag: &HeaderValue) -> bool {
+pub fn matches(headers: &HeaderMap, tag: &HeaderValue) -> bool {
     headers
         .get_all(header::IF_NONE_MATCH)
         .iter()

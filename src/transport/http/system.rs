@@ -10,7 +10,7 @@ use axum::response::Response;
 use serde_json::json;
 
 /// What there is, as `/` tells it.
-const ROUTES: [&str; 17] = [
+const ROUTES: [&str; 23] = [
     "GET /healthz",
     "GET /readyz",
     "GET /metrics",
@@ -21,13 +21,19 @@ const ROUTES: [&str; 17] = [
     "POST /v1/maps/{map}/scans",
     "POST /v1/maps/{map}/classes",
     "POST /v1/maps/{map}/guaranteed-free",
-    "GET /v1/maps/{map}/region?min_x=&min_y=&max_x=&max_y=&depth=",
+    "GET /v1/maps/{map}/region?min_x=&min_y=&max_x=&max_y=&depth=&blocks=",
     "GET /v1/maps/{map}/grid?min_x=&min_y=&max_x=&max_y=&depth=&format=",
     "GET /v1/maps/{map}/changes?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
     "GET /v1/maps/{map}/events?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.npy",
     "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.pb",
+    "GET /v1/maps/{map}/snapshots",
+    "POST /v1/maps/{map}/snapshots",
+    "POST /v1/maps/{map}/snapshots/{name}/restore",
+    "DELETE /v1/maps/{map}/snapshots/{name}",
+    "GET /v1/maps/{map}/export?format=&snapshot=&depth=&mode=",
+    "PUT /v1/maps/{map}/import",
 ];
 
 /// `GET /`

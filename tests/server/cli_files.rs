@@ -1,0 +1,106 @@
+//! `ubbmap map snapshot, snapshots, restore, delete-snapshot, export, import` with the real binary.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use super::cli_support::{Server, room_json, run};
+use super::service_support::SLED_KEEPS;
+use std::path::Path;
+use ubbmap::store::read_map_file;
+
+fn serve(folder: &Path) -> Server {
+    let flags: &[&str] = if SLED_KEEPS { &[] } else { &["--store", "memory"] };
+    Server::start_with(&folder.join("data"), "127.0.0.1:0", flags)
+}
+
+#[test]
+fn maps_are_kept_restored_and_carried_to_another_server() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("short.jsonl"), room_json(40)).unwrap();
+    std::fs::write(path("long.jsonl"), room_json(90)).unwrap();
+    let server = serve(folder.path());
+    let replay = |log: &str| {
+        let robot = ["--robot-prefix", "r", "--depth", "10"];
+        server.run(&[&["replay", &path(log), "--map", "room", "--json"], &robot[..]].concat()).ok()
+    };
+    replay("short.jsonl");
+    assert!(server.run(&["map", "snapshots", "room"]).ok().stderr.contains("no snapshots"));
+    server.run(&["map", "restore", "room", "first"]).fails(1, "no snapshot 'first'; the map has no snapshots");
+    let revision = server.show("room")["revision"].as_str().unwrap().to_owned();
+    let taken = server.run(&["map", "snapshot", "room", "first"]).ok().stdout;
+    assert_eq!(taken, format!("snapshot 'first' of map 'room' taken, revision {revision}\n"));
+    server.run(&["map", "snapshot", "room", "first"]).fails(1, "SNAPSHOT_EXISTS");
+    let first = server.leaves("room");
+    replay("long.jsonl");
+    let long = server.leaves("room");
+    assert_ne!(first, long);
+    let text = server.run(&["map", "show", "room"]).ok().stdout;
+    let changed = text.lines().find_map(|line| line.strip_prefix("changed     ")).unwrap();
+    assert!(changed.len() == 20 && changed.starts_with("20") && changed.ends_with('Z'), "{changed}");
+    assert!(
+        server.run(&["map", "snapshot", "room", "second", "--json"]).ok().json()["created"].as_f64().unwrap() > 1e9
+    );
+
+    server.run(&["map", "restore", "room", "firts"]).fails(1, "no snapshot 'firts'; did you mean 'first'?");
+    server.run(&["map", "restore", "roam", "first"]).fails(1, "no map 'roam'; did you mean 'room'?");
+    server.run(&["map", "restore", "room", "a b"]).fails(2, "[A-Za-z0-9]");
+    let restored = server.run(&["map", "restore", "room", "first"]).ok().stdout;
+    assert!(restored.starts_with("map 'room' is as in snapshot 'first', at revision "), "{restored}");
+    assert_eq!(server.leaves("room"), first);
+    // The scans that were taken back are sent again by the same command.
+    replay("long.jsonl");
+    assert_eq!(server.leaves("room"), long);
+    let table = server.run(&["map", "snapshots", "room"]).ok().stdout;
+    let lines: Vec<&str> = table.lines().collect();
+    assert!(lines.len() == 3 && lines[0].starts_with("name") && lines[1].starts_with("first "), "{table}");
+    let list = server.run(&["map", "snapshots", "room", "--json"]).ok().json();
+    assert_eq!((&list["snapshots"][0]["name"], &list["snapshots"][0]["revision"]), (&"first".into(), &revision.into()));
+
+    let done = server.run(&["map", "export", "room", "--out", &path("room.ubbmap"), "--json"]).ok().json();
+    assert_eq!(done["bytes"].as_u64().unwrap(), std::fs::metadata(path("room.ubbmap")).unwrap().len());
+    server.run(&["map", "export", "room", "--snapshot", "first", "--out", &path("first.ubbmap")]).ok();
+    let other_folder = tempfile::tempdir().unwrap();
+    let other = serve(other_folder.path());
+    assert_eq!(other.run(&["map", "import", "hall", &path("first.ubbmap")]).ok().stdout.lines().count(), 1);
+    assert_eq!(other.leaves("hall"), first);
+    other.run(&["map", "import", "room", &path("room.ubbmap")]).ok();
+    assert_eq!((other.leaves("room"), &other.show("room")["robots"]), (long, &server.show("room")["robots"]));
+    other.run(&["map", "import", "room", &path("room.ubbmap")]).fails(1, "MAP_EXISTS");
+    server.run(&["map", "delete-snapshot", "room", "first"]).ok();
+    server.run(&["map", "delete-snapshot", "room", "first"]).fails(1, "no snapshot 'first'");
+    assert_eq!((server.terminate(), other.terminate()), (0, 0));
+}
+
+#[test]
+fn files_are_whole_or_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("room.jsonl"), room_json(40)).unwrap();
+    run(["build", &path("room.jsonl"), "--out", &path("built.ubbmap")]).ok();
+    let server = serve(folder.path());
+    let imported = server.run(&["map", "import", "room", &path("built.ubbmap"), "--json"]).ok().json();
+    let (_, built) = read_map_file(&mut std::fs::File::open(path("built.ubbmap")).unwrap()).unwrap();
+    assert_eq!(imported["revision"], built.revision.to_string(), "a file of `build` can be imported");
+
+    server.run(&["map", "export", "room", "--format", "nav2", "--out", &path("room.zip"), "--depth", "12"]).ok();
+    assert!(std::fs::read(path("room.zip")).unwrap().starts_with(b"PK"));
+    server.run(&["map", "export", "room", "--format", "nav2", "--out", &path("nav2/"), "--mode", "scale"]).ok();
+    let yaml = std::fs::read_to_string(path("nav2/map.yaml")).unwrap();
+    assert!(yaml.contains("\nmode: scale\nresolution: 0.1\norigin: ["), "{yaml}");
+    assert!(std::fs::read(path("nav2/map.pgm")).unwrap().starts_with(b"P5\n"));
+
+    std::fs::write(path("cut.ubbmap"), &std::fs::read(path("built.ubbmap")).unwrap()[..500]).unwrap();
+    server.run(&["map", "import", "cut", &path("cut.ubbmap")]).fails(1, "INVALID_FILE");
+    server.run(&["map", "import", "cut", &path("none.ubbmap")]).fails(1, "cannot read");
+    server.run(&["map", "show", "cut"]).fails(1, "no map 'cut'");
+    server.run(&["map", "export", "rom", "--out", &path("x.ubbmap")]).fails(1, "did you mean 'room'?");
+    server.run(&["map", "export", "room", "--snapshot", "s", "--out", &path("x.ubbmap")]).fails(1, "no snapshot 's'");
+    server.run(&["map", "export", "room", "--out", &path("none/x.ubbmap")]).fails(1, "cannot write");
+    server.run(&["map", "export", "room", "--out", &path("x.ubbmap"), "--depth", "3"]).fails(2, "--format nav2");
+    server.run(&["map", "export", "room", "--out", &path("x/")]).fails(2, "needs a name");
+    server.run(&["map", "export", "room"]).fails(2, "--out");
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(!left.iter().any(|name| name.to_str().unwrap().starts_with('x')), "{left:?}");
+    assert!(!left.iter().any(|name| name.to_str().unwrap().ends_with(".partial")), "{left:?}");
+    assert_eq!(server.terminate(), 0);
+}
