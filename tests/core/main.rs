@@ -1,6 +1,7 @@
 //! Tests of the core's public interface: floors 0 to 2.
 
 mod free;
+mod free_edges;
 mod free_lens;
 mod gaussian;
 mod interval_arithmetic;
