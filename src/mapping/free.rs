@@ -84,7 +84,9 @@ pub fn try_guaranteed_free<S: BlockSlot>(
         return Ok(FreeAnswer { free: true, max_class, refusal: None });
     }
     let witness = match region.shape() {
-        Shape::Path { pieces, radius } => query.first_along(pieces, *radius, limit)?,
+        Shape::Path { pieces, radius } => {
+            query.first_along(&Way { pieces, radius: *radius, bounds: region.bounds() }, limit)?
+        }
         _ if inside == max_class => query.first_of_class(region, max_class)?,
         _ => overhang.map(|overhang| query.outer_witness(overhang, None)),
     };
@@ -105,6 +107,15 @@ const STRETCH: f64 = 4.0;
 
 /// How far along a piece a leaf is touched, metres, the leaf and its class.
 type Touch = (f64, NodeAddress, Class);
+
+/// A path as its first leaf is looked for.
+struct Way<'a> {
+    pieces: &'a [Segment],
+    /// Metres.
+    radius: f64,
+    /// Of the whole path.
+    bounds: Box2,
+}
 
 /// A map as it is asked.
 struct Query<'a, S: BlockSlot> {
@@ -216,12 +227,12 @@ impl<S: BlockSlot> Query<'_, S> {
     }
 
     /// The first leaf above `limit` that a disc meets on its way along a path.
-    fn first_along(&self, pieces: &[Segment], radius: f64, limit: Class) -> Result<Option<Witness>, S::Error> {
+    fn first_along(&self, way: &Way<'_>, limit: Class) -> Result<Option<Witness>, S::Error> {
         let mut walked = 0.0;
-        for piece in pieces {
-            let inner = self.first_on_piece(piece, radius, limit)?;
+        for piece in way.pieces {
+            let inner = self.first_on_piece(way, piece, limit)?;
             // What is outside is unknown, which no tolerance allows.
-            let outer = outside::overhang_along(piece, radius, self.grid);
+            let outer = outside::overhang_along(piece, way.radius, self.grid);
             match (inner, outer) {
                 (Some((along, leaf, class)), None) => {
                     return Ok(Some(self.inner_witness(leaf, class, Some(walked + along))));
@@ -237,19 +248,19 @@ impl<S: BlockSlot> Query<'_, S> {
     }
 
     /// The leaf above `limit` that a disc touches first on its way along one straight piece, and how far along.
-    fn first_on_piece(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Option<Touch>, S::Error> {
-        let whole = [*piece];
-        let Some(mut lens) = Lens::capsule(&whole, radius, self.grid) else {
-            let sieve = Sieve::Exact(Probe::capsule(&whole, radius), Region::capsule(piece, radius));
+    fn first_on_piece(&self, way: &Way<'_>, piece: &Segment, limit: Class) -> Result<Option<Touch>, S::Error> {
+        let (whole, radius) = ([*piece], way.radius);
+        let Some(mut lens) = Lens::capsule(&whole, radius, way.bounds, self.grid) else {
+            let sieve = Sieve::Exact(Probe::capsule(&whole, radius), way.bounds);
             return self.first_in(sieve, piece, radius, limit, |_| true);
         };
         // Most pieces have none, which is known much sooner than the first of some.
-        if !self.any_above(&whole, radius, limit)? {
+        if !self.any_above(way, &whole, radius, limit)? {
             return Ok(None);
         }
-        let stretch = [self.first_stretch(piece, radius, limit)?];
+        let stretch = [self.first_stretch(way, piece, limit)?];
         let wide = radius + self.touch_slack(piece, radius);
-        if let Some(near) = Lens::capsule(&stretch, wide, self.grid) {
+        if let Some(near) = Lens::capsule(&stretch, wide, way.bounds, self.grid) {
             let found = self.first_in(Sieve::Quick(near), piece, radius, limit, |leaf| lens.meets(leaf))?;
             if found.is_some() {
                 return Ok(found);
@@ -288,13 +299,14 @@ impl<S: BlockSlot> Query<'_, S> {
     }
 
     /// A stretch of a piece that has leaves above `limit` on which the first of them is touched, by halving.
-    fn first_stretch(&self, piece: &Segment, radius: f64, limit: Class) -> Result<Segment, S::Error> {
+    fn first_stretch(&self, way: &Way<'_>, piece: &Segment, limit: Class) -> Result<Segment, S::Error> {
+        let radius = way.radius;
         let slack = self.touch_slack(piece, radius);
         let (mut from, mut to) = (0.0, piece.length());
         while to - from > STRETCH * (radius + self.grid.resolution()) {
             let middle = 0.5 * (from + to) + slack;
             let half = [Segment::new(piece.at(from), piece.at(middle))];
-            if self.any_above(&half, radius + slack, limit)? {
+            if self.any_above(way, &half, radius + slack, limit)? {
                 to = middle;
             } else {
                 from = middle - slack;
@@ -303,9 +315,9 @@ impl<S: BlockSlot> Query<'_, S> {
         Ok(Segment::new(piece.at(from), piece.at(to)))
     }
 
-    /// Does a leaf above `limit` meet a piece and what is within `radius` of it? True also where no lens can tell.
-    fn any_above(&self, piece: &[Segment; 1], radius: f64, limit: Class) -> Result<bool, S::Error> {
-        let Some(lens) = Lens::capsule(piece, radius, self.grid) else { return Ok(true) };
+    /// Does a leaf above `limit` meet a piece of a way and what is within `radius` of it? True also where no lens can tell.
+    fn any_above(&self, way: &Way<'_>, piece: &[Segment; 1], radius: f64, limit: Class) -> Result<bool, S::Error> {
+        let Some(lens) = Lens::capsule(piece, radius, way.bounds, self.grid) else { return Ok(true) };
         Ok(Largest { lens, largest: limit, top: limit + 1 }.find(self.tree)? > limit)
     }
 

@@ -1,6 +1,7 @@
 //! Tests of the core's public interface: floors 0 to 2.
 
 mod free;
+mod free_edges;
 mod free_lens;
 mod gaussian;
 mod interval_arithmetic;
@@ -18,9 +19,13 @@ mod quadtree_tree;
 mod regions;
 mod regions_exact;
 mod rules;
+#[cfg(feature = "server")]
 mod rules_logs;
+mod rules_narrow;
+mod rules_near;
 mod rules_support;
 mod sensor_model;
 mod sensor_scan;
+mod surveyor;
 mod tidy;
 mod vector;

@@ -107,6 +107,23 @@ fn far_from_the_origin_a_box_that_touches_is_met_and_one_a_trillionth_away_is_no
     }
 }
 
+/// The squares of such numbers keep a bit or two, so that a sum of two may be rounded above the square of the radius.
+#[test]
+fn regions_of_next_to_nothing_missed_boxes_that_they_touch() {
+    let mut dice = Dice(4);
+    for _ in 0..20_000 {
+        let gap = 10_f64.powf(dice.real(-163.0, -150.0));
+        let (x, y) = (gap * dice.real(0.0, 1.0), gap);
+        let radius = x.hypot(y) * (1.0 + 1e-15);
+        let square = box_of((x, y), (x + 1.0, y + 1.0));
+        assert!(Region::disc((0.0, 0.0), radius).unwrap().meets(&square), "a disc of {radius} and {square:?}");
+        for end in [(0.0, 0.0), (-radius, -1.0), (radius * dice.real(-1.0, 0.0), 0.0)] {
+            let path = Region::path(vec![(0.0, 0.0), end], radius, &RegionLimits::default()).unwrap();
+            assert!(path.meets(&square), "a path to {end:?} of {radius} and {square:?}");
+        }
+    }
+}
+
 #[test]
 fn bad_regions_name_the_field() {
     let limits = RegionLimits { max_points: 5 };

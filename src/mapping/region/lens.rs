@@ -34,7 +34,7 @@ const GROUP: usize = 64;
 const BOX_SIDE: f64 = 32.0;
 
 /// A piece whose squared length is below this, in leaves, is taken for its start: it is shorter than any rounding.
-const POINT: f64 = 1e-30;
+pub(super) const POINT: f64 = 1e-30;
 
 /// A region as seen from one map, for one descent at a time.
 pub struct Lens<'a> {
@@ -187,9 +187,10 @@ impl<'a> Lens<'a> {
         Self::of(shape, bounds, grid)
     }
 
-    /// One piece of a path and everything within `radius` of it.
-    pub fn capsule(piece: &'a [Segment; 1], radius: f64, grid: &'a Grid) -> Option<Self> {
-        Self::of(Scaled::Path(Capsules::new(piece, radius, grid)), Region::capsule(&piece[0], radius), grid)
+    /// One piece of a path, or a stretch of one, and everything within `radius` of it. `bounds` are those of the whole path: a
+    /// leaf that meets the path meets one of its pieces only if both are asked about the same leaves.
+    pub fn capsule(piece: &'a [Segment; 1], radius: f64, bounds: Box2, grid: &'a Grid) -> Option<Self> {
+        Self::of(Scaled::Path(Capsules::new(piece, radius, grid)), bounds, grid)
     }
 
     fn of(shape: Scaled<'a>, bounds: Box2, grid: &'a Grid) -> Option<Self> {

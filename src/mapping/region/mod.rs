@@ -103,7 +103,8 @@ pub(super) enum Shape {
 ///
 /// Its tests against squares round outward: a square that meets the region is never said to be apart from it, and one
 /// that is said to meet it comes within `2^-46` of the extent of the numbers involved (the distance between the square
-/// and the piece of the region, their sizes and the radius), far below one part in 10^12 of the coordinates.
+/// and the piece of the region, their sizes and the radius), far below one part in 10^12 of the coordinates, or within
+/// `2^-511` m, where numbers have no square.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     shape: Shape,
@@ -176,11 +177,6 @@ impl Region {
     #[must_use]
     pub fn meets(&self, square: &Box2) -> bool {
         self.bounds.meets(*square) && Probe::new(self).classify(0, square, true) == Cover::All
-    }
-
-    /// The box about one piece of a path and everything within `radius` of it, rounded outward.
-    pub(super) fn capsule(piece: &Segment, radius: f64) -> Box2 {
-        dilated_hull(&[piece.start, piece.end], radius)
     }
 
     pub(super) fn shape(&self) -> &Shape {

@@ -42,9 +42,10 @@ impl<'a> Probe<'a> {
             Shape::Rectangle => Self::Rectangle(region.bounds()),
             Shape::Disc { center, radius } => {
                 // Gaps between a float and a box are rounded once; the two squares, their sum and the radius' square
-                // add 5 roundings of 2^-53 each.
+                // add 5 roundings of 2^-53 each. Squares below the smallest normal number lose more than that.
                 let squared = radius * radius;
-                let (outer, inner) = (squared * (1.0 + 4.0 * f64::EPSILON), squared * (1.0 - 4.0 * f64::EPSILON));
+                let outer = squared * (1.0 + 4.0 * f64::EPSILON) + f64::MIN_POSITIVE;
+                let inner = squared * (1.0 - 4.0 * f64::EPSILON);
                 Self::Disc { center: *center, outer, inner }
             }
             Shape::Polygon { edges } => Self::Polygon(PolygonProbe::new(edges)),

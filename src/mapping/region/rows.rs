@@ -10,6 +10,8 @@
 //! tangent x errs by the error of y, a few `2^-29` within the root, times the slope; so steeper ones than
 //! [`MAX_SLOPE`] are left to the box about the capsule.
 
+use super::lens::POINT;
+
 /// Largest `|dx / dy|` of a piece whose tangents are followed.
 const MAX_SLOPE: f64 = 32.0;
 
@@ -30,10 +32,12 @@ impl Rows {
     pub fn new(start: (f64, f64), end: (f64, f64), radius: f64) -> Self {
         let (low, high) = if start.1 <= end.1 { (start, end) } else { (end, start) };
         let (dx, dy) = (high.0 - low.0, high.1 - low.1);
-        if dx == 0.0 && dy == 0.0 {
-            return Self { low, high, radius, slope: Some(0.0), tangent: (0.0, 0.0) };
+        let squared = dx * dx + dy * dy;
+        // Divided by its length, a piece that has next to none would leave no numbers.
+        if squared <= POINT {
+            return Self { low, high: low, radius, slope: Some(0.0), tangent: (0.0, 0.0) };
         }
-        let scale = radius / (dx * dx + dy * dy).sqrt();
+        let scale = radius / squared.sqrt();
         let slope = (dx.abs() <= MAX_SLOPE * dy).then(|| dx / dy);
         Self { low, high, radius, slope, tangent: (scale * dy, -scale * dx) }
     }
