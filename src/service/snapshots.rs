@@ -11,7 +11,7 @@ use super::registry::{blocking, now};
 use super::writer::{Published, Request, Writer};
 use super::{ErrorKind, MapService, ServiceError};
 use crate::quadtree::PageError;
-use crate::store::{Commit, Difference, MapName, SnapshotName, StoreError, StoredSnapshot};
+use crate::store::{Commit, Difference, MapId, MapName, SnapshotName, StoreError, StoredSnapshot};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::sync::oneshot;
@@ -105,8 +105,25 @@ impl MapService {
         let taken = self.errand(map, snapshot, Request::Snapshot).await;
         if let Ok(entry) = self.registry.find(map) {
             entry.rescue.forget().await;
+            if taken.is_ok() {
+                self.keep_copy(map, entry.id);
+            }
         }
         taken
+    }
+
+    /// Has the store copy the map's last snapshot, behind the answer. The end of the service waits for it.
+    fn keep_copy(&self, map: &MapName, id: MapId) {
+        let Ok(inside) = self.registry.gate.enter() else { return };
+        let (store, map) = (Arc::clone(&self.registry.store), map.clone());
+        tokio::task::spawn_blocking(move || {
+            let _inside = inside;
+            match store.keep_copy(id) {
+                // A map or snapshot that was deleted meanwhile needs no copy.
+                Ok(()) | Err(StoreError::NoMap(_) | StoreError::NoSnapshot(_)) => {}
+                Err(error) => tracing::warn!(%map, "no copy of its last snapshot beside the store: {error}"),
+            }
+        });
     }
 
     /// The snapshots of a map, by name. The map itself need not be readable.

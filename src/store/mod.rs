@@ -340,13 +340,13 @@ pub trait MapStore: Send + Sync + 'static {
         Err(StoreError::NoSnapshot(name.clone()))
     }
 
-    /// Writes a snapshot as a map file beside the store, in place of the map's one before: what is left when the store itself
-    /// cannot be opened. A store that cannot lose its database alone does nothing.
+    /// Writes a map's last snapshot as a map file beside the store, in place of that of an earlier one: what is left when
+    /// the store itself cannot be opened. A store that cannot lose its database alone does nothing.
     ///
     /// # Errors
-    /// [`StoreError::NoSnapshot`] and failures; the file before stays.
-    fn keep_copy(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
-        let _ = (id, name);
+    /// [`StoreError`]; the file before stays.
+    fn keep_copy(&self, id: MapId) -> Result<(), StoreError> {
+        let _ = id;
         Ok(())
     }
 

@@ -9,7 +9,10 @@ use super::sled_catalogue::{Entry, Snapshot, StoredWindow, open_window, read_win
 use super::sled_open::guarded;
 use super::sled_records::Visit;
 use super::sled_store::SledStore;
-use super::{Difference, LoadedMap, MapId, RobotName, SequenceWindow, SnapshotName, StoreError, StoredSnapshot, lock};
+use super::{
+    Difference, LoadedMap, MapId, RobotName, SequenceWindow, SnapshotName, StoreError, StoredMap, StoredSnapshot,
+    copies, lock,
+};
 use crate::quadtree::{BlockAddress, BlockView, OccupancyTree};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -179,6 +182,21 @@ impl SledStore {
         // One that was deleted meanwhile has lost its blocks.
         let tree = read().or_else(|error| snapshot_of(&self.entry(id)?, name).map(|_| ()).and(Err(error)))?;
         Ok(LoadedMap { revision: snapshot.stored.revision, tree, windows })
+    }
+
+    /// Writes the last snapshot of a map as a file, unless the file is of it.
+    pub(super) fn copy_last_snapshot(&self, id: MapId) -> Result<(), StoreError> {
+        let mut copied = lock(&self.copied);
+        let snapshots = self.entry(id)?.snapshots;
+        let last = snapshots.values().map(|snapshot| &snapshot.stored).max_by_key(|stored| stored.revision);
+        let Some(last) = last.filter(|last| copied.get(&id) != Some(*last)) else { return Ok(()) };
+        let map = self.read_snapshot(id, &last.name)?;
+        // Its deletion waits until the copy is there, and then removes it.
+        let _deletion = lock(&self.next_map);
+        let StoredMap { name, config, .. } = self.entry(id)?.stored;
+        copies::keep(&self.directory, &name, &config, &map)?;
+        copied.insert(id, last.clone());
+        Ok(())
     }
 
     /// A block as a revision had it, of which it was known then. The map must be held.

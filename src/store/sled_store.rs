@@ -24,6 +24,7 @@ use super::{
 use crate::mapping::MapConfig;
 use crate::quadtree::{BlockCache, BlockPager, OccupancyTree, PagedTree};
 use sled::IVec;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
@@ -40,7 +41,9 @@ pub struct SledStore {
     pub(super) catalogue: Mutex<Catalogue>,
     /// The number of the next map; held while maps are created and deleted.
     pub(super) next_map: Mutex<u32>,
-    directory: PathBuf,
+    pub(super) directory: PathBuf,
+    /// Of which snapshot each map's copy is; held while copies are written.
+    pub(super) copied: Mutex<BTreeMap<MapId, StoredSnapshot>>,
     pub(super) records: Arc<Records>,
 }
 
@@ -124,6 +127,7 @@ impl SledStore {
             catalogue: Mutex::new(catalogue),
             next_map: Mutex::new(next),
             directory: directory.to_owned(),
+            copied: Mutex::default(),
             records,
         };
         store.finish_deletions()?;
@@ -474,12 +478,8 @@ impl MapStore for SledStore {
         self.difference_to(id, name)
     }
 
-    fn keep_copy(&self, id: MapId, name: &SnapshotName) -> Result<(), StoreError> {
-        let map = self.read_snapshot(id, name)?;
-        // Its deletion waits until the copy is there, and then removes it.
-        let _deletion = lock(&self.next_map);
-        let StoredMap { name, config, .. } = self.entry(id)?.stored;
-        copies::keep(&self.directory, &name, &config, &map)
+    fn keep_copy(&self, id: MapId) -> Result<(), StoreError> {
+        self.copy_last_snapshot(id)
     }
 
     fn failure(&self) -> Option<String> {

@@ -93,16 +93,15 @@ fn a_store_that_cannot_be_opened_offers_the_copies_of_its_snapshots() {
     let (gone, _) = fill(&store, "gone", config(9, 10, 1), 8, 3);
     for id in [hall, yard, gone] {
         store.take_snapshot(id, &named("first"), 0.0).unwrap();
-        store.keep_copy(id, &named("first")).unwrap();
+        store.keep_copy(id).unwrap();
     }
     store.commit(hall, &model.step(4)).unwrap();
     store.take_snapshot(hall, &named("second"), 0.0).unwrap();
-    store.keep_copy(hall, &named("second")).unwrap();
+    store.keep_copy(hall).unwrap();
     let expected = model.loaded();
     store.commit(hall, &model.step(4)).unwrap();
     store.delete(gone).unwrap();
-    assert!(matches!(store.keep_copy(gone, &named("first")), Err(StoreError::NoMap(_))));
-    assert!(matches!(store.keep_copy(yard, &named("second")), Err(StoreError::NoSnapshot(_))));
+    assert!(matches!(store.keep_copy(gone), Err(StoreError::NoMap(_))));
     drop(store);
 
     let yard = directory.path().join("copies/yard.ubbmap");

@@ -83,7 +83,7 @@ impl Gone {
         let mut revision = 0;
         for blocks in blocks.chunks(60) {
             revision += 1;
-            store.commit(id, &Commit { revision, blocks: blocks.to_vec(), windows: Vec::new() }).unwrap();
+            store.commit(id, &Commit { revision, changed: 0.0, blocks: blocks.to_vec(), windows: Vec::new() }).unwrap();
         }
         store.delete(id).unwrap();
         revision
