@@ -2,8 +2,8 @@
 //!
 //! `UBBMAP_SOAK_SECONDS=3600 cargo test --release --test server long_soak -- --ignored --nocapture` prints a line a minute.
 
-use crate::store_rewrite::wait_until;
 use crate::store_support::{Model, assert_same, config, name};
+use crate::store_upkeep::wait_until;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -26,7 +26,7 @@ struct Writer {
 impl Writer {
     fn new(number: u64, maps: u64, store: &SledStore, twin: &MemoryStore) -> Self {
         let make = |n: u64| {
-            let map_config = config(12, if n % 2 == 0 { 10 } else { 200 }, 1);
+            let map_config = config(12, if n.is_multiple_of(2) { 10 } else { 200 }, 1);
             let label = format!("w{number}-{n}");
             let id = store.create(&name(&label), &map_config, 1.5e9).unwrap();
             let of_twin = twin.create(&name(&label), &map_config, 1.5e9).unwrap();
@@ -46,7 +46,7 @@ impl Writer {
         }
         self.rounds += 1;
         let mut commits = self.kept.len() as u64;
-        if self.rounds % gone.every == 0 {
+        if self.rounds.is_multiple_of(gone.every) {
             commits += gone.come_and_go(&format!("gone-{}", self.number), store);
         }
         commits
