@@ -85,6 +85,8 @@ fn flags_stand_above_the_environment_above_the_file() {
         ("UBBMAP_STORE", "memory"),
         ("UBBMAP_INSECURE", "true"),
         ("UBBMAP_LIMITS__POSE_WIDTH", "0.5"),
+        ("UBBMAP_REWRITE__FACTOR", "4.5"),
+        ("UBBMAP_REWRITE__CHECK_SECONDS", "0.5"),
         ("HOME", "/"),
     ];
     let config = load(text, &env, &[("listen", "127.0.0.1:3")]).unwrap();
@@ -95,6 +97,8 @@ fn flags_stand_above_the_environment_above_the_file() {
     assert!(config.insecure);
     assert_eq!(config.service_settings().pose.max_position_width, 0.5);
     assert_eq!(config.service_settings().max_maps, 7);
+    let rewrite = config.rewrite_options();
+    assert_eq!((rewrite.factor, rewrite.check.as_millis()), (4.5, 500));
 }
 
 #[test]

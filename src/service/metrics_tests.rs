@@ -44,7 +44,7 @@ fn metrics_keep_their_names() {
     ] {
         assert!(text.contains(line), "{line} is not in\n{text}");
     }
-    assert!(!text.contains("outcome=\"failed\""));
+    assert!(!text.contains("scans_total{outcome=\"failed\""));
     metrics::with_local_recorder(&recorder, || drop(held));
     assert!(handle.render().contains("ubbmap_maps_open 0"));
 }

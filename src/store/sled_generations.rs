@@ -2,7 +2,7 @@
 //!
 //! A database grows and is rewritten into a new directory now and then (see [`super::sled_rewrite`]): each such copy is a
 //! *generation*. The first lives in `DIR/sled`, generation `N` in `DIR/sled-N`. `DIR/current` names the one that is the
-//! store; where that file has never been written, it is the first. sled writes some of its files by their path, so a
+//! store; before the first rewrite there is no such file. sled writes some of its files by their path, so a
 //! directory that it has open is never renamed: the file that names it is replaced instead, which is atomic.
 //!
 //! 8 bytes: the generation (u32), and the CRC32C of its 4 bytes.
@@ -114,10 +114,8 @@ pub(super) fn find(directory: &Path) -> Result<Option<Generation>, StoreError> {
                 format!("the file {CURRENT:?} names the database {name}, which is not there; restore the directory");
             return Err(no_store(directory, &why));
         }
-        // Before the first rewrite is complete there is no such file, and the second generation may be half a copy.
-        Pointer::Absent if present.is_empty() || present.contains(&Generation::FIRST) => {
-            return Ok(present.first().copied());
-        }
+        // It is written when the first rewrite begins.
+        Pointer::Absent if present.is_empty() || present == [Generation::FIRST] => return Ok(present.first().copied()),
         Pointer::Absent => "is missing",
         Pointer::Damaged => "is damaged",
     };

@@ -58,7 +58,7 @@ pub struct RewriteOptions {
 }
 
 impl Default for RewriteOptions {
-    /// Under steady replacement sled settles at 4.5 to 6 times what it holds, and a fresh copy takes 2.6 to 2.8 times: 8 is
+    /// Under steady replacement sled settles at 4 to 6 times what it holds, and a fresh copy takes 1.8 to 2.8 times: 8 is
     /// reached only when something else has grown it. Every 10 seconds: looking costs a reading of a directory.
     fn default() -> Self {
         Self { factor: 8.0, least_bytes: 64 << 20, check: Duration::from_secs(10) }

@@ -70,6 +70,8 @@ pub struct Rewritten {
     pub before_bytes: u64,
     /// Bytes of the new one's.
     pub after_bytes: u64,
+    /// How long writers were held off.
+    pub held: Duration,
 }
 
 /// Replaces the sync of a data file, for tests.
@@ -178,12 +180,14 @@ impl Rewriter {
         let next = generation.next().ok_or_else(|| StoreError::Refused("no generation is left".to_owned()))?;
         let (old_path, path) = (generation.path(&self.directory), next.path(&self.directory));
         let before_bytes = self.size(&old_path)?;
+        // From now on there is more than one database, and nothing but `current` tells which one counts.
+        point_to(&self.directory, *generation).map_err(Pointing::into_error)?;
         let old = self.writes.records.db();
         self.writes.note_keys(true);
         let outcome = self.make(&path, &old, watch).and_then(|made| self.switch(next, made, &old, watch));
         self.writes.note_keys(false);
-        let held = match outcome {
-            Ok(held) => held,
+        let (amount, held) = match outcome {
+            Ok(done) => done,
             Err(error) => {
                 // After a failed write `current` may name it.
                 if self.writes.failure().is_none()
@@ -200,8 +204,8 @@ impl Rewriter {
         self.remove_retired(READERS_PATIENCE);
         let _ = watch(RewriteStep::Removed);
         let after_bytes = self.size(&path)?;
-        let Amount { records, bytes: live_bytes } = held;
-        Ok(Rewritten { records, live_bytes, before_bytes, after_bytes })
+        let Amount { records, bytes: live_bytes } = amount;
+        Ok(Rewritten { records, live_bytes, before_bytes, after_bytes, held })
     }
 
     fn size(&self, path: &Path) -> Result<u64, StoreError> {
@@ -251,10 +255,11 @@ impl Rewriter {
         made: Made,
         old: &Database,
         watch: &mut Watch<'_>,
-    ) -> Result<Amount, StoreError> {
+    ) -> Result<(Amount, Duration), StoreError> {
         let Made { db: new, held: amount, unsettled } = made;
         let path = next.path(&self.directory);
         let mut held = self.writes.hold();
+        let since = Instant::now();
         let rest = held.take_noted();
         copy_keys(old, &new, &rest)?;
         let unlike = |key: &[u8]| StoreError::Damaged {
@@ -289,8 +294,9 @@ impl Rewriter {
         sink.data = path.join("db").display().to_string();
         drop(sink);
         drop(held);
+        let waited = since.elapsed();
         let _ = watch(RewriteStep::Switched);
-        Ok(amount)
+        Ok((amount, waited))
     }
 
     /// Writes the header, which makes it a store, and makes all of it durable.
@@ -364,6 +370,7 @@ impl Rewriter {
             before_bytes = done.before_bytes,
             after_bytes = done.after_bytes,
             seconds = started.elapsed().as_secs_f64(),
+            writers_waited_seconds = done.held.as_secs_f64(),
             "the database was rewritten"
         );
         known.statistics.disk_bytes = self.size(&self.directory)?;

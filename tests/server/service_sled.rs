@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
 use ubbmap::service::{MapService, ScanInput, ServiceSettings};
-use ubbmap::store::{SledOptions, SledStore, StoreError};
+use ubbmap::store::{MapStore, RewriteOptions, SledOptions, SledStore, StoreError};
 
 /// Opens the store; the service before may need a moment to let go of it.
 async fn open(directory: &Path) -> MapService {
@@ -69,4 +69,25 @@ async fn robots_resume_after_a_restart_and_nothing_is_applied_twice() {
     }
     drop(service);
     assert_eq!(served(&open(directory.path()).await, &other).await, leaves(&applied(&config(), &all)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_size_of_the_store_is_among_the_metrics() {
+    let directory = tempfile::tempdir().unwrap();
+    let rewrite = RewriteOptions { check: Duration::from_millis(5), ..RewriteOptions::default() };
+    let store = SledStore::open(directory.path(), SledOptions { rewrite, ..SledOptions::default() }).unwrap();
+    let store = Arc::new(store);
+    let service = MapService::open(Arc::clone(&store) as _, ServiceSettings::default()).unwrap();
+    store.rewrite(&mut |_| Ok(())).unwrap();
+    while store.statistics().unwrap().live_bytes.is_none() {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    let recorder = metrics_exporter_prometheus::PrometheusBuilder::new().build_recorder();
+    metrics::with_local_recorder(&recorder, || service.note_metrics());
+    let text = recorder.handle().render();
+    let held = store.verify().unwrap().bytes;
+    for line in [&format!("ubbmap_store_live_bytes {held}"), "ubbmap_store_rewrites_total{outcome=\"done\"} 1"] {
+        assert!(text.contains(line), "{line} is not in\n{text}");
+    }
+    assert!(text.contains("ubbmap_store_disk_bytes "), "{text}");
 }

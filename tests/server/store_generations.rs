@@ -27,6 +27,12 @@ fn rewritten(directory: &Path, first: &Path) -> (MapId, Model) {
     (id, model)
 }
 
+/// `current` as it is from the beginning of the first rewrite to its end.
+fn name_first(directory: &Path) {
+    let number = 1_u32.to_be_bytes();
+    fs::write(directory.join("current"), [number, crc32c::crc32c(&number).to_be_bytes()].concat()).unwrap();
+}
+
 /// The store is the rewritten one, nothing else is left, and `current` says so.
 #[track_caller]
 fn is_whole(directory: &Path, id: MapId, model: &Model) {
@@ -77,9 +83,12 @@ fn an_older_database_is_never_served_in_silence() {
     fs::write(&current, b"nonsense").unwrap();
     let error = refused("damaged");
     assert!(error.contains("\"current\"") && error.contains("sled, sled-2"), "{error}");
-    // Without the file the first generation is the store, whose writes are fewer than were acknowledged.
     fs::remove_file(&current).unwrap();
-    assert!(refused("missing").contains("were acknowledged"));
+    let error = refused("missing");
+    assert!(error.contains("is missing") && error.contains("sled, sled-2"), "{error}");
+    // Even where it is named again, its writes are fewer than were acknowledged.
+    name_first(directory.path());
+    assert!(refused("named").contains("were acknowledged"));
     // A file that names what is not there.
     fs::rename(directory.path().join("sled-2"), directory.path().join("elsewhere")).unwrap();
     fs::write(&current, &sound).unwrap();
@@ -103,6 +112,7 @@ fn what_is_left_of_a_rewrite_that_was_not_finished_is_removed() {
     let (id, model) = fill(&open(directory.path()).unwrap(), "plant", config(10, 10, 2), 3, 12);
     let left = directory.path().join("sled-2");
     copy_directory(&directory.path().join("sled"), &left);
+    name_first(directory.path());
     fs::write(directory.path().join("current.writing"), b"half").unwrap();
     // Not of the form that is written: somebody else's.
     for name in ["sled-1", "sled-02", "sled-x", "sled-3.before", "sled-99999999999"] {
@@ -111,7 +121,7 @@ fn what_is_left_of_a_rewrite_that_was_not_finished_is_removed() {
     let others = ["sled", "sled-02", "sled-1", "sled-3.before", "sled-99999999999", "sled-x"];
     let store = open(directory.path()).unwrap();
     assert_same(&store.load(id).unwrap(), &model.loaded());
-    assert_eq!(entries(directory.path()), [&["acknowledged", "lock"][..], &others].concat());
+    assert_eq!(entries(directory.path()), [&["acknowledged", "current", "lock"][..], &others].concat());
 }
 
 /// Half a copy that is the only database left: the header is written last.

@@ -3,18 +3,18 @@
 use crate::store_support::{Model, assert_same, config, fill, name};
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use ubbmap::quadtree::{Block, BlockAddress, BlockCache, BlockView};
-use ubbmap::store::{Commit, MapId, MapStore, RewriteOptions, RewriteStep, SledOptions, SledStore, StoreError, Syncer};
+use ubbmap::store::{Commit, MapId, MapStore, RewriteStep, SledOptions, SledStore, StoreError, Syncer};
 
-fn open(directory: &Path) -> SledStore {
+pub fn open(directory: &Path) -> SledStore {
     SledStore::open(directory, SledOptions::default()).unwrap()
 }
 
-fn rewrite(store: &SledStore) {
+pub fn rewrite(store: &SledStore) {
     store.rewrite(&mut |_| Ok(())).unwrap();
 }
 
@@ -27,7 +27,7 @@ pub fn entries(directory: &Path) -> Vec<String> {
 }
 
 /// The databases in a data directory.
-fn databases(directory: &Path) -> Vec<String> {
+pub fn databases(directory: &Path) -> Vec<String> {
     entries(directory).into_iter().filter(|name| name.starts_with("sled")).collect()
 }
 
@@ -44,7 +44,7 @@ pub fn copy_directory(from: &Path, to: &Path) {
 }
 
 /// A map that is worth several batches: 900 records, 1.9 MB.
-fn wide(store: &SledStore) -> (MapId, Model) {
+pub fn wide(store: &SledStore) -> (MapId, Model) {
     wide_as(store, "wide")
 }
 
@@ -78,11 +78,12 @@ fn is_past(step: RewriteStep) -> bool {
 }
 
 /// Steps by their names: those of one kind count as one.
-fn kind(step: RewriteStep) -> String {
+pub fn kind(step: RewriteStep) -> String {
     format!("{step:?}").split('(').next().unwrap().to_owned()
 }
 
-const STEPS: [&str; 11] = [
+/// The steps in their order.
+pub const STEPS: [&str; 11] = [
     "Created",
     "Copying",
     "Copied",
@@ -260,25 +261,37 @@ fn a_rewrite_whose_disk_fails_leaves_the_old_database_in_use() {
     let fail_next = Arc::new(AtomicBool::new(false));
     let (store, probes) = probed(directory.path(), &fail_next);
     let (id, mut model) = wide(&store);
-    let mut goes_on = |what: &str| {
-        let outcome = store.rewrite(&mut |_| Ok(()));
+    let mut goes_on = |what: &str, prepare: &dyn Fn(RewriteStep)| {
+        let outcome = store.rewrite(&mut |step| {
+            prepare(step);
+            Ok(())
+        });
         assert!(matches!(&outcome, Err(StoreError::Io { .. })), "{what}: {outcome:?}");
+        assert!(store.failure().is_none());
         store.commit(id, &model.step(4)).unwrap();
         assert_same(&store.load(id).unwrap(), &model.loaded());
         outcome.unwrap_err().to_string()
     };
     fail_next.store(true, Ordering::SeqCst);
-    assert!(goes_on("the new data file cannot be synced").contains("the disk is gone"));
+    assert!(goes_on("the new data file cannot be synced", &|_| ()).contains("the disk is gone"));
     assert_eq!(databases(directory.path()), ["sled"]);
     fail_next.store(false, Ordering::SeqCst);
 
-    fs::create_dir_all(directory.path().join("current.writing/x")).unwrap();
-    assert!(goes_on("`current` cannot be written").contains("current.writing"));
-    assert_eq!(databases(directory.path()), ["sled"]);
-    fs::remove_dir_all(directory.path().join("current.writing")).unwrap();
+    let writing = directory.path().join("current.writing");
+    for at in ["Held", "Nowhere"] {
+        // At the last moment, and (left there) before the first.
+        let prepare = |step| {
+            if kind(step) == at {
+                fs::create_dir_all(writing.join("x")).unwrap();
+            }
+        };
+        assert!(goes_on("`current` cannot be written", &prepare).contains("current.writing"));
+        assert_eq!(databases(directory.path()), ["sled"]);
+    }
+    fs::remove_dir_all(&writing).unwrap();
 
     fs::write(directory.path().join("sled-2"), b"in the way").unwrap();
-    assert!(goes_on("the directory cannot be made").contains("sled-2"));
+    assert!(goes_on("the directory cannot be made", &|_| ()).contains("sled-2"));
     fs::remove_file(directory.path().join("sled-2")).unwrap();
 
     rewrite(&store);
@@ -296,146 +309,6 @@ fn a_rewrite_whose_disk_fails_leaves_the_old_database_in_use() {
     assert!(error.contains("the disk is gone") && error.contains("sled-2/db"), "{error}");
     assert!(matches!(store.rewrite(&mut |_| Ok(())), Err(StoreError::FailStop(_))));
     assert_same(&store.load(id).unwrap(), &durable);
-}
-
-/// Run by the test below in a process whose files may not grow beyond a limit from a moment on.
-#[test]
-#[ignore = "run by a_full_disk_fails_a_rewrite_and_nothing_else"]
-fn full_disk_rewrite_child() {
-    let Ok(directory) = std::env::var("UBBMAP_TEST_FULL_DISK") else { return };
-    let store = open(Path::new(&directory));
-    let (id, mut model) = wide(&store);
-    let limit = |soft: &str| {
-        let own = std::process::id().to_string();
-        let run = std::process::Command::new("prlimit").args(["--pid", &own, &format!("--fsize={soft}:")]).status();
-        assert!(run.unwrap().success());
-    };
-    // A first rewrite, whose comparison has read all of the new one: sled writes when it reads what it has not settled yet,
-    // and then it is the store itself whose disk is full.
-    rewrite(&store);
-    limit("1500000");
-    let outcome = store.rewrite(&mut |_| Ok(()));
-    assert!(outcome.is_err(), "{outcome:?}");
-    limit("unlimited");
-    assert_eq!(databases(Path::new(&directory)), ["sled-2"]);
-    store.commit(id, &model.step(4)).unwrap();
-    rewrite(&store);
-    assert_same(&store.load(id).unwrap(), &model.loaded());
-}
-
-/// Waits for a child; one that hangs is a failure.
-#[track_caller]
-fn ends(mut child: std::process::Child) -> std::process::ExitStatus {
-    let start = Instant::now();
-    loop {
-        if let Some(status) = child.try_wait().unwrap() {
-            return status;
-        }
-        if start.elapsed() > Duration::from_secs(120) {
-            child.kill().unwrap();
-            panic!("it hangs");
-        }
-        std::thread::sleep(Duration::from_millis(10));
-    }
-}
-
-#[test]
-#[cfg(target_os = "linux")]
-fn a_full_disk_fails_a_rewrite_and_nothing_else() {
-    let directory = tempfile::tempdir().unwrap();
-    let child = std::process::Command::new("sh")
-        // Without the trap the signal would end the process.
-        .args(["-c", "trap '' XFSZ; exec \"$0\" --exact store_rewrite::full_disk_rewrite_child --ignored"])
-        .arg(std::env::current_exe().unwrap())
-        .env("UBBMAP_TEST_FULL_DISK", directory.path())
-        .spawn()
-        .unwrap();
-    assert!(ends(child).success());
-}
-
-const MAPS: u64 = 3;
-
-/// Run by the test below: writes to some maps, rewrites meanwhile, and is gone in the middle of a step.
-#[test]
-#[ignore = "run by a_crash_at_any_step_of_a_rewrite_loses_nothing_that_was_acknowledged"]
-fn crash_child() {
-    let Ok(directory) = std::env::var("UBBMAP_TEST_CRASH") else { return };
-    let directory = PathBuf::from(directory);
-    let step = std::env::var("UBBMAP_TEST_CRASH_AT").unwrap();
-    let store = open(&directory.join("data"));
-    wide(&store);
-    let begun = AtomicU64::new(0);
-    std::thread::scope(|scope| {
-        for n in 0..MAPS {
-            let (store, directory, begun) = (&store, &directory, &begun);
-            scope.spawn(move || {
-                let (id, mut model) = fill(store, &format!("m{n}"), config(10, 10, 1), n, 0);
-                let acknowledged = directory.join(format!("m{n}"));
-                loop {
-                    store.commit(id, &model.step(6)).unwrap();
-                    let written = directory.join(format!("m{n}.writing"));
-                    fs::write(&written, model.revision.to_string()).unwrap();
-                    fs::rename(&written, &acknowledged).unwrap();
-                    begun.fetch_add(1, Ordering::SeqCst);
-                }
-            });
-        }
-        while begun.load(Ordering::SeqCst) < 30 {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        let outcome = store.rewrite(&mut |at| {
-            if kind(at) == step {
-                std::process::abort();
-            }
-            Ok(())
-        });
-        panic!("it never came to {step}: {outcome:?}");
-    });
-}
-
-#[test]
-fn a_crash_at_any_step_of_a_rewrite_loses_nothing_that_was_acknowledged() {
-    for (at, step) in STEPS.into_iter().enumerate() {
-        let directory = tempfile::tempdir().unwrap();
-        let child = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "store_rewrite::crash_child", "--ignored"])
-            .env("UBBMAP_TEST_CRASH", directory.path())
-            .env("UBBMAP_TEST_CRASH_AT", step)
-            .stdout(std::process::Stdio::null())
-            .stderr(std::process::Stdio::null())
-            .spawn()
-            .unwrap();
-        assert_eq!(ends(child).code(), None, "{step}: it was to be aborted");
-        let data = directory.path().join("data");
-        let past = at >= STEPS.iter().position(|step| *step == "Pointed").unwrap();
-        let mut models = Vec::new();
-        {
-            let store = open(&data);
-            assert_eq!(databases(&data), [if past { "sled-2" } else { "sled" }], "after {step}");
-            assert_eq!(store.verify().unwrap().problems, Vec::<String>::new(), "after {step}");
-            for map in store.list().unwrap().into_iter().filter(|map| map.name != name("wide")) {
-                let n = map.name.as_str()[1..].parse().unwrap();
-                let acknowledged: u64 =
-                    fs::read_to_string(directory.path().join(format!("m{n}"))).unwrap().parse().unwrap();
-                assert!((acknowledged..=acknowledged + 1).contains(&map.revision), "{step}: {acknowledged}, {map:?}");
-                let mut model = Model::new(config(10, 10, 1), n);
-                for _ in 0..map.revision {
-                    model.step(6);
-                }
-                models.push((map.id, model));
-            }
-            assert_eq!(models.len() as u64, MAPS);
-        }
-        let store = open(&data);
-        for (id, model) in &mut models {
-            assert_same(&store.load(*id).unwrap(), &model.loaded());
-            store.commit(*id, &model.step(6)).unwrap();
-        }
-        rewrite(&store);
-        for (id, model) in &models {
-            assert_same(&store.load(*id).unwrap(), &model.loaded());
-        }
-    }
 }
 
 #[test]
@@ -509,93 +382,4 @@ fn two_rewrites_at_once_are_two_in_turn() {
     });
     assert_eq!(databases(directory.path()), ["sled-4"]);
     assert_same(&store.load(id).unwrap(), &model.loaded());
-}
-
-fn options(factor: f64, least_bytes: u64) -> SledOptions {
-    let check = Duration::from_millis(5);
-    SledOptions { rewrite: RewriteOptions { factor, least_bytes, check }, ..SledOptions::default() }
-}
-
-/// Waits until what the upkeep says is so; `what` and the last of it when that takes for ever.
-#[track_caller]
-pub fn wait_until(store: &SledStore, what: &str, so: impl Fn(&ubbmap::store::StoreStatistics) -> bool) {
-    let start = Instant::now();
-    while !so(&store.statistics().unwrap()) {
-        assert!(start.elapsed() < Duration::from_secs(60), "{what}: {:?}", store.statistics());
-        std::thread::sleep(Duration::from_millis(2));
-    }
-}
-
-#[test]
-fn live_bytes_are_counted_once_and_kept_up_by_every_kind_of_change() {
-    let directory = tempfile::tempdir().unwrap();
-    let (id, mut model) = fill(&open(directory.path()), "plant", config(10, 10, 4), 3, 20);
-    let store = SledStore::open(directory.path(), options(1e6, 1 << 40)).unwrap();
-    let matches = |what: &str| {
-        let bytes = store.verify().unwrap().bytes;
-        wait_until(&store, what, |seen| seen.live_bytes == Some(bytes));
-    };
-    matches("counted");
-    store.commit(id, &model.step(9)).unwrap();
-    matches("a commit");
-    store.update_config(id, &config(10, 10, 1)).unwrap();
-    matches("fewer sensors");
-    let (other, _) = fill(&store, "other", config(11, 200, 3), 4, 9);
-    matches("another map");
-    store.delete(other).unwrap();
-    matches("a deletion");
-    rewrite(&store);
-    matches("a rewrite");
-    store.commit(id, &model.step(9)).unwrap();
-    matches("a commit after it");
-    let seen = store.statistics().unwrap();
-    assert_eq!((seen.rewrites, seen.failed_rewrites), (1, 0));
-    assert!(seen.disk_bytes >= store.disk_bytes().unwrap() / 2);
-}
-
-#[test]
-fn a_store_that_shrank_is_rewritten_by_itself_and_only_once() {
-    let directory = tempfile::tempdir().unwrap();
-    let store = SledStore::open(directory.path(), options(4.0, 1 << 20)).unwrap();
-    let (id, _) = wide(&store);
-    let (kept, mut model) = fill(&store, "kept", config(10, 10, 1), 3, 5);
-    store.delete(id).unwrap();
-    wait_until(&store, "a rewrite", |seen| seen.rewrites >= 1);
-    wait_until(&store, "the size after it", |seen| seen.disk_bytes <= 1 << 20);
-    let rewrites = store.statistics().unwrap().rewrites;
-    for _ in 0..20 {
-        store.commit(kept, &model.step(2)).unwrap();
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    assert_eq!(store.statistics().unwrap().rewrites, rewrites, "once it is small it stays as it is");
-    assert_same(&store.load(kept).unwrap(), &model.loaded());
-}
-
-#[test]
-fn a_rewrite_that_does_not_help_is_not_tried_again_and_again() {
-    let directory = tempfile::tempdir().unwrap();
-    // No database takes less than it holds.
-    let store = SledStore::open(directory.path(), options(0.5, 0)).unwrap();
-    let (id, model) = wide(&store);
-    wait_until(&store, "a rewrite", |seen| seen.rewrites >= 1);
-    std::thread::sleep(Duration::from_millis(1500));
-    // Waiting for 2, 4, 8, .. checks of 5 ms; on a slow machine it comes to fewer.
-    let rewrites = store.statistics().unwrap().rewrites;
-    assert!(rewrites <= 8, "{rewrites} rewrites of a store that nobody writes to");
-    assert_same(&store.load(id).unwrap(), &model.loaded());
-}
-
-#[test]
-fn a_store_is_closed_in_the_middle_of_a_rewrite() {
-    let directory = tempfile::tempdir().unwrap();
-    let id = wide(&open(directory.path())).0;
-    for _ in 0..12 {
-        // In vain each time, so the thread is at it whenever it is closed.
-        let store = SledStore::open(directory.path(), options(0.5, 0)).unwrap();
-        store.load(id).unwrap();
-        std::thread::sleep(Duration::from_millis(8));
-    }
-    let store = open(directory.path());
-    assert_eq!(databases(directory.path()).len(), 1);
-    assert_eq!(store.verify().unwrap().problems, Vec::<String>::new());
 }

@@ -2,8 +2,8 @@
 //!
 //! `UBBMAP_SOAK_SECONDS=3600 cargo test --release --test server long_soak -- --ignored --nocapture` prints a line a minute.
 
-use crate::store_rewrite::wait_until;
 use crate::store_support::{Model, assert_same, config, name};
+use crate::store_upkeep::wait_until;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
