@@ -56,10 +56,10 @@ pub fn courses(seed: u64, robots: usize, requests: usize) -> Vec<Course> {
         }
     }
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    scans.into_iter().map(|scans| course(scans, requests, &mut random)).collect()
+    scans.into_iter().map(|scans| course(&scans, requests, &mut random)).collect()
 }
 
-fn course(scans: Vec<ScanInput>, count: usize, random: &mut ChaCha8Rng) -> Course {
+fn course(scans: &[ScanInput], count: usize, random: &mut ChaCha8Rng) -> Course {
     let config = course_config();
     let robot = RobotName::new(&scans[0].robot).unwrap();
     let (mut tree, mut surveyor) = (OccupancyTree::new(config.grid().depth(), config.scale()), Surveyor::new());

@@ -21,6 +21,9 @@ use ubbmap::store::{LoadedMap, MapStore, SledOptions, SledStore};
 /// Instants tried in one recording.
 const CUTS_OF_A_LIFE: u64 = 25;
 
+/// Directories kept of those in which something is lost.
+const KEPT: usize = 3;
+
 /// What was acknowledged of one map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Promise {
@@ -204,12 +207,9 @@ fn cut(
                 }
             }
             Err(why) => {
-                let files = spare.keep();
-                outcome.lost.push(format!(
-                    "cut at line {at} of {}: {why} (files: {})",
-                    recording.lines,
-                    files.display()
-                ));
+                // The first ones are kept to be looked into.
+                let files = if outcome.lost.len() < KEPT { spare.keep().display().to_string() } else { String::new() };
+                outcome.lost.push(format!("cut at line {at} of {}: {why} (files: {files})", recording.lines));
             }
         }
     }
@@ -249,17 +249,23 @@ fn assert_end_is_as_left(recording: &Recording, root: &Path, random: &mut ChaCha
     let mut left = BTreeMap::new();
     read_all(&root.join("data"), &mut left);
     assert!(left.len() >= 4, "{:?}", left.keys());
-    // What the process was at when it ended may have been done or not.
+    // What the process was at when it ended may have been done or not. sled shortens its file by several threads at the
+    // same time, so the length may be that of any of them; what is beyond the shortest is zeros.
     let differing = [true, false].map(|unfinished| {
         let rebuilt = scratch();
         recording.rebuild_end(unfinished, random, rebuilt.path());
         let mut found = BTreeMap::new();
         read_all(&rebuilt.path().join("data"), &mut found);
         assert!(found.keys().eq(left.keys()), "{:?} instead of {:?}", found.keys(), left.keys());
-        let differing = found.iter().filter(|(name, bytes)| left[*name] != **bytes);
+        let differing = found.iter().filter(|(name, bytes)| !same_but_for_zeros(bytes, &left[*name]));
         differing.map(|(name, bytes)| (name.clone(), bytes.len(), left[name].len())).collect::<Vec<_>>()
     });
     assert!(differing.iter().any(Vec::is_empty), "files, their lengths replayed and left: {differing:?}");
+}
+
+fn same_but_for_zeros(one: &[u8], other: &[u8]) -> bool {
+    let shorter = one.len().min(other.len());
+    one[..shorter] == other[..shorter] && one[shorter..].iter().chain(&other[shorter..]).all(|byte| *byte == 0)
 }
 
 fn read_all(directory: &Path, into: &mut BTreeMap<String, Vec<u8>>) {
@@ -311,7 +317,9 @@ fn without_the_sync_of_the_data_file_power_cuts_lose_what_was_acknowledged() {
     cut(&recording, &Promises::default(), &expected, 12, &mut ChaCha8Rng::seed_from_u64(7), &mut outcome);
     for lost in &outcome.lost {
         let path = lost.rsplit_once("(files: ").unwrap().1.trim_end_matches(')');
-        fs::remove_dir_all(path).unwrap();
+        if !path.is_empty() {
+            fs::remove_dir_all(path).unwrap();
+        }
     }
     assert!(outcome.lost.len() > 2, "{outcome:?}");
 }

@@ -78,7 +78,8 @@ struct Reading<'a> {
     out: Recording,
     now: HashMap<NodeId, BTreeMap<String, NodeId>>,
     open: HashMap<i64, (NodeId, usize)>,
-    lengths: HashMap<NodeId, usize>,
+    /// Contents of files as they are.
+    live: HashMap<NodeId, Vec<u8>>,
     told: Vec<NodeId>,
 }
 
@@ -88,9 +89,9 @@ impl Recording {
     pub fn read(log: &Path, root: &Path, before: &Path, acks: &str) -> Self {
         let (calls, lines) = read(log);
         let out = Self { nodes: Vec::new(), lines, moments: Vec::new(), told: Vec::new() };
-        let (now, open, lengths) = (HashMap::new(), HashMap::new(), HashMap::new());
+        let (now, open, live) = (HashMap::new(), HashMap::new(), HashMap::new());
         let root = root.to_str().unwrap();
-        let mut reading = Reading { root, acks, out, now, open, lengths, told: Vec::new() };
+        let mut reading = Reading { root, acks, out, now, open, live, told: Vec::new() };
         reading.load(before);
         // A number of an open file is free, and may be another file's, when its close begins.
         let mut order: Vec<&Call> = calls.iter().collect();
@@ -158,7 +159,9 @@ impl Node {
     fn bytes_after(&self, cut: usize, mood: Mood, random: &mut ChaCha8Rng) -> Vec<u8> {
         let (begun, sure) = self.begun(cut);
         let mut bytes = self.bytes.clone();
-        begun[..sure].iter().for_each(|event| drop(write(&mut bytes, &event.change)));
+        for event in &begun[..sure] {
+            write(&mut bytes, &event.change);
+        }
         let mut newest = bytes.clone();
         let mut lengths = vec![bytes.len()];
         // By page: the number of the event, and the page after it.
@@ -250,7 +253,7 @@ impl Reading<'_> {
             self.out.nodes[id] = Node { directory: true, names, ..Node::default() };
         } else {
             let bytes = fs::read(path).unwrap();
-            self.lengths.insert(id, bytes.len());
+            self.live.insert(id, bytes.clone());
             self.out.nodes[id].bytes = bytes;
         }
         id
@@ -281,12 +284,7 @@ impl Reading<'_> {
         if let Some(names) = self.now.get_mut(&node) {
             rename(names, &change);
         }
-        let length = self.lengths.get(&node).copied().unwrap_or_default();
-        match &change {
-            Change::Data { at, bytes } => drop(self.lengths.insert(node, length.max(at + bytes.len()))),
-            Change::Length(length) => drop(self.lengths.insert(node, *length)),
-            _ => {}
-        }
+        write(self.live.entry(node).or_default(), &change);
         self.out.moments.push(call.start);
         self.out.nodes[node].events.push(Event { start: call.start, end: call.end, change });
     }
@@ -341,7 +339,7 @@ impl Reading<'_> {
             None => return,
         };
         assert!(!["O_SYNC", "O_DSYNC", "O_DIRECT|", "O_APPEND"].iter().any(|flag| flags.contains(flag)), "{call:?}");
-        if flags.contains("O_TRUNC") && self.lengths.get(&node).copied().unwrap_or_default() > 0 {
+        if flags.contains("O_TRUNC") && self.live.get(&node).is_some_and(|bytes| !bytes.is_empty()) {
             self.note(call, node, Change::Length(0));
         }
         self.open.insert(call.result, (node, 0));
@@ -386,6 +384,7 @@ impl Reading<'_> {
         };
         let done = usize::try_from(call.result).unwrap();
         match call.name.as_str() {
+            "copy_file_range" => self.take_range(call, done),
             "lseek" => drop(self.open.insert(call.number(0), (node, done))),
             "write" | "pwrite64" => {
                 let mut bytes = call.bytes(1);
@@ -409,6 +408,18 @@ impl Reading<'_> {
             }
             _ => panic!("the replay does not know {call:?}"),
         }
+    }
+
+    /// A copy from one watched file to another, from where both are.
+    fn take_range(&mut self, call: &Call, done: usize) {
+        let known = call.arguments[1] == "NULL" && call.arguments[3] == "NULL";
+        let (from, from_at) = self.open[&call.number(0)];
+        let to = self.open.get(&call.number(2)).copied().filter(|_| known);
+        let (to, at) = to.unwrap_or_else(|| panic!("the replay does not know {call:?}"));
+        let bytes = self.live[&from][from_at..from_at + done].to_vec();
+        self.open.insert(call.number(0), (from, from_at + done));
+        self.open.insert(call.number(2), (to, at + done));
+        self.note(call, to, Change::Data { at, bytes });
     }
 
     /// Data can come into a watched file by a call whose first argument is another.
