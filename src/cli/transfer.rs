@@ -136,12 +136,12 @@ impl Export {
 
     /// Receives the file; returns the revision that it holds.
     fn receive(&self, client: &Client, out: &mut impl Write) -> Result<u64, Failure> {
-        let mut path = format!("/v1/maps/{}/export?format={}", self.map, word(self.format));
+        let mut path = format!("/v1/maps/{}/export?format={}", self.map, word(&self.format));
         if let Some(depth) = self.depth {
             path.push_str(&format!("&depth={depth}"));
         }
         if let Some(mode) = self.mode {
-            path.push_str(&format!("&mode={}", word(mode)));
+            path.push_str(&format!("&mode={}", word(&mode)));
         }
         if let Some(snapshot) = &self.snapshot {
             path.push_str(&format!("&snapshot={snapshot}"));
@@ -236,7 +236,7 @@ impl<F: FnMut(u64)> Read for Counted<F> {
     }
 }
 
-fn word(value: impl ValueEnum) -> String {
+fn word(value: &impl ValueEnum) -> String {
     value.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
 }
 

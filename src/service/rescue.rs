@@ -3,22 +3,26 @@
 use super::registry::{Entry, Registry, blocking};
 use super::{ErrorKind, ServiceError};
 use crate::store::{MapId, MapStore, StoredSnapshot};
-use std::sync::Arc;
-use tokio::sync::Mutex;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::sync::OnceCell;
 
 /// Snapshots that are tried: each is read whole.
 const TRIED: usize = 8;
 
-/// What was found for one map, kept so that errors stay cheap.
+/// What was found for one map, looked for once so that errors stay cheap.
 #[derive(Default)]
-pub(super) struct Rescue(Mutex<Option<Found>>);
+pub(super) struct Rescue(Mutex<Arc<OnceCell<Found>>>);
 
 type Found = Option<StoredSnapshot>;
 
 impl Rescue {
     /// The map's snapshots have changed.
-    pub(super) async fn forget(&self) {
-        *self.0.lock().await = None;
+    pub(super) fn forget(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::default();
+    }
+
+    fn kept(&self) -> Arc<OnceCell<Found>> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
@@ -28,18 +32,18 @@ impl Registry {
         if error.kind != ErrorKind::MapDamaged {
             return error;
         }
-        let mut kept = entry.rescue.0.lock().await;
-        if kept.is_none() {
+        let kept = entry.rescue.kept();
+        let found = kept.get_or_try_init(|| async {
             // The semaphore is never closed.
             let permit = Arc::clone(&self.heavy).acquire_owned().await.ok();
             let (store, id) = (Arc::clone(&self.store), entry.id);
-            let found = blocking(move || {
+            let look = move || {
                 let _permit = permit;
                 newest_readable(store.as_ref(), id)
-            });
-            *kept = found.await.ok();
-        }
-        if let Some(Some(StoredSnapshot { name, revision, .. })) = kept.as_ref() {
+            };
+            blocking(look).await
+        });
+        if let Ok(Some(StoredSnapshot { name, revision, .. })) = found.await {
             let hint = format!("; its snapshot {:?} of revision {revision} can be exported", name.as_str());
             error.detail.push_str(&hint);
         }

@@ -104,7 +104,7 @@ impl MapService {
     pub async fn take_snapshot(&self, map: &MapName, snapshot: &SnapshotName) -> Result<StoredSnapshot, ServiceError> {
         let taken = self.errand(map, snapshot, Request::Snapshot).await;
         if let Ok(entry) = self.registry.find(map) {
-            entry.rescue.forget().await;
+            entry.rescue.forget();
             if taken.is_ok() {
                 self.keep_copy(map, entry.id);
             }
@@ -162,7 +162,7 @@ impl MapService {
             store.delete_snapshot(id, &name)
         });
         let deleted = deleted.await?.map_err(|error| store_failure(map, "delete a snapshot of", &error));
-        entry.rescue.forget().await;
+        entry.rescue.forget();
         if deleted.is_ok() {
             tracing::info!(%map, %snapshot, "snapshot deleted");
         }

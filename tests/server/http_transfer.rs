@@ -156,3 +156,24 @@ fn an_upload_that_stands_still_is_ended() {
     assert!(answer.starts_with("HTTP/1.1 503") && answer.contains("\"code\":\"TIMEOUT\""), "{answer}");
     assert!(answer.contains("not transferred within 0.3 s"), "{answer}");
 }
+
+#[test]
+fn an_upload_may_take_longer_than_a_request() {
+    let site = Site::with(|config| config.limits.request_seconds = 0.4);
+    site.make_hall();
+    insert(&site, 1);
+    let file = site.get("/v1/maps/hall/export").body;
+    let mut stream = TcpStream::connect(site.server.as_ref().unwrap().address()).unwrap();
+    let head = format!(
+        "PUT /v1/maps/copy/import HTTP/1.1\r\nhost: x\r\nconnection: close\r\ncontent-length: {}\r\n\r\n",
+        file.len()
+    );
+    stream.write_all(head.as_bytes()).unwrap();
+    for piece in file.chunks(file.len().div_ceil(4)) {
+        std::thread::sleep(Duration::from_millis(300));
+        stream.write_all(piece).unwrap();
+    }
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.starts_with("HTTP/1.1 201"), "{answer}");
+}
