@@ -19,7 +19,10 @@ mod quadtree_tree;
 mod regions;
 mod regions_exact;
 mod rules;
+#[cfg(feature = "server")]
 mod rules_logs;
+mod rules_narrow;
+mod rules_near;
 mod rules_support;
 mod sensor_model;
 mod sensor_scan;

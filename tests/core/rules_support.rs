@@ -1,5 +1,6 @@
 //! Scans, leaf sets and the comparison of the engine's evidence with the slow reference.
 #![allow(clippy::unwrap_used, reason = "a test that cannot be set up has failed")]
+#![cfg_attr(not(feature = "server"), allow(dead_code, reason = "what is said of real logs needs their readers"))]
 
 use crate::regions_exact::Dice;
 use std::collections::BTreeMap;
@@ -163,17 +164,23 @@ impl<'a> Case<'a> {
         beams.into_iter().map(|(_, beam)| beam).collect()
     }
 
-    /// X_OCC holds the leaf of every drawn point of the measurement sets, and no leaf that meets no measurement box.
-    pub fn check_occupied(&self, leaves: &Leaves, draws: usize, dice: &mut Dice) -> Tally {
-        let mut tally = Tally::default();
+    /// X_OCC holds the leaf of every drawn point of the measurement sets; the number of points.
+    pub fn check_drawn(&self, leaves: &Leaves, draws: usize, dice: &mut Dice) -> usize {
+        let mut points = 0;
         for beam in 0..self.scan.beams() {
             for _ in 0..draws {
                 let Some(point) = self.reference.draw_occupied(beam, &mut || dice.real(0.0, 1.0)) else { break };
                 let Some(leaf) = self.grid.leaf_at(point.0, point.1) else { continue };
-                tally.points += 1;
+                points += 1;
                 assert!(leaves.occupied(leaf), "{}: {point:?} of beam {beam} is not in X_OCC", self.name);
             }
         }
+        points
+    }
+
+    /// X_OCC holds the leaf of every drawn point of the measurement sets, and no leaf that meets no measurement box.
+    pub fn check_occupied(&self, leaves: &Leaves, draws: usize, dice: &mut Dice) -> Tally {
+        let mut tally = Tally { points: self.check_drawn(leaves, draws, dice), ..Tally::default() };
         let margin = SLACK * self.grid.resolution();
         for leaf in leaves.sets().0 {
             let square = grown(self.grid.node_box(leaf), margin);

@@ -111,11 +111,13 @@ impl Cones {
         let (near, far) = (near * self.scale, far * self.scale);
         let width = self.half_width(far);
         let low = near * self.cos - self.rim.1;
-        let first = low.min(low * self.cos_turn) - width * self.sin_turn;
+        // Of a set that begins behind the sensor, or turns by more than a quarter, either end may be the one that reaches farther.
+        let first = low.min(low * self.cos_turn).min(far * self.cos_turn) - width * self.sin_turn;
+        let end = far.max(low * self.cos_turn) + width * self.sin_turn;
         // No point of the cone is farther from the sensor than its rim.
         let rim = (far * self.cos - self.rim.1, width);
-        let last = (far + width * self.sin_turn).min((rim.0 * rim.0 + rim.1 * rim.1).sqrt().max(far) + self.slack);
-        let aside = width + far * self.sin_turn;
+        let last = end.min((rim.0 * rim.0 + rim.1 * rim.1).sqrt().max(far) + self.slack);
+        let aside = width + far.max(-low) * self.sin_turn;
         let (along, middle) = (0.5 * (last - first), 0.5 * (last + first));
         let (min, max) = self.hull(unit, low, (near, far), width);
         let center = (self.origin.0 + unit.0 * middle, self.origin.1 + unit.1 * middle);
@@ -137,10 +139,9 @@ impl Cones {
             hull.min = (cone.min.0 - behind.max.0, cone.min.1 - behind.max.1);
             hull.max = (cone.max.0 - behind.min.0, cone.max.1 - behind.min.1);
         } else {
-            let radius = (far * far + width * width).sqrt();
             // The near end is narrower: with the far end's width the box would pass the natural extension of (6).
             let narrow = self.half_width(near);
-            hull.add_turned_rectangle(unit, (self.cos_turn, self.sin_turn), (low, narrow), (far, width), radius);
+            hull.add_turned_rectangle(unit, (self.cos_turn, self.sin_turn), (low, narrow), (far, width));
         }
         (
             (self.origin.0 + hull.min.0 - self.slack, self.origin.1 + hull.min.1 - self.slack),
@@ -252,15 +253,8 @@ impl Hull {
     }
 
     /// Adds the trapezoid with the half widths `narrow` at `low` and `width` at `far` in the frame of `unit`, turned about
-    /// the origin to both sides by `(cos, sin)`; `radius` is the distance of its farthest corner.
-    fn add_turned_rectangle(
-        &mut self,
-        unit: Point,
-        (cos, sin): Point,
-        (low, narrow): Point,
-        (far, width): Point,
-        radius: f64,
-    ) {
+    /// the origin to both sides by `(cos, sin)`.
+    fn add_turned_rectangle(&mut self, unit: Point, (cos, sin): Point, (low, narrow): Point, (far, width): Point) {
         for sin in [-sin, sin] {
             let (x, y) = (unit.0 * cos - unit.1 * sin, unit.1 * cos + unit.0 * sin);
             for (along, aside) in [(low, narrow), (far, width)] {
@@ -269,24 +263,26 @@ impl Hull {
                 self.add((x * along + aside_x, y * along + aside_y));
             }
         }
-        // A corner that passes an axis on the way is farthest out there. It lies within asin(width / radius) of `unit`, and
-        // sin(a + b) <= sin a + sin b.
-        let near_axis = (sin * radius + width) * (1.0 + 1e-9);
-        let reach = |across: f64| across.abs() * radius <= near_axis;
-        if cos <= 0.0 || reach(unit.1) {
-            if unit.0 > 0.0 || cos <= 0.0 {
-                self.max.0 = self.max.0.max(radius);
-            }
-            if unit.0 < 0.0 || cos <= 0.0 {
-                self.min.0 = self.min.0.min(-radius);
-            }
+        self.add_passing(unit, cos, (far, width));
+        // Before the sensor, the near corners are never farther out than the far ones.
+        if low < 0.0 || cos <= 0.0 {
+            self.add_passing(unit, cos, (low, narrow));
         }
-        if cos <= 0.0 || reach(unit.0) {
-            if unit.1 > 0.0 || cos <= 0.0 {
-                self.max.1 = self.max.1.max(radius);
-            }
-            if unit.1 < 0.0 || cos <= 0.0 {
-                self.min.1 = self.min.1.min(-radius);
+    }
+
+    /// Adds the axes that the corners `(along, +-aside)` in the frame of `unit` pass as they turn by up to the angle of cosine
+    /// `cos`: there they are farthest out.
+    fn add_passing(&mut self, unit: Point, cos: f64, (along, aside): Point) {
+        let radius = (along * along + aside * aside).sqrt();
+        for (towards, across, x, y) in [
+            (unit.0, unit.1, 1.0, 0.0),
+            (-unit.0, unit.1, -1.0, 0.0),
+            (unit.1, unit.0, 0.0, 1.0),
+            (-unit.1, unit.0, 0.0, -1.0),
+        ] {
+            // The radius times the cosine of the angle between the axis and the nearer of the corners.
+            if cos <= 0.0 || towards * along + across.abs() * aside >= radius * cos {
+                self.add((x * radius, y * radius));
             }
         }
     }

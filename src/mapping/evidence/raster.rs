@@ -248,8 +248,9 @@ impl Convex for TurnedRectangle {
             let step = corner.1.clamp(bottom, top) - corner.1;
             corner.0 + step * if step > 0.0 { above } else { below }
         };
-        let left = reach(self.left, self.left_slopes).max(self.clip.0);
-        let right = reach(self.right, self.right_slopes).min(self.clip.1);
+        // The edges of a rectangle without width are one line, and rounding may put either to the left.
+        let (a, b) = (reach(self.left, self.left_slopes), reach(self.right, self.right_slopes));
+        let (left, right) = (a.min(b).max(self.clip.0), a.max(b).min(self.clip.1));
         (left <= right).then_some((left, right))
     }
 }

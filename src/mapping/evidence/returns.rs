@@ -3,7 +3,8 @@
 //! The same sets as [`super::cones`] draws one by one in double precision: the rectangle about the part of the cone, widened by
 //! the turn of the heading and held to the axis-parallel hull of the turned rectangle, then dilated. Sixteen beams are
 //! computed side by side; each comes out as a mask of up to 16 columns for up to 8 rows. A set that is larger is left to
-//! the caller.
+//! the caller; so is one that is wider than it is long, or begins behind the sensor, and turns: its corners pass other axes than
+//! those that the beam is near.
 //!
 //! A side's x at a given y may have a slope of any size: an error of the y acts as if the shape lay that much higher or lower,
 //! which the slack of the dilation along y covers.
@@ -19,6 +20,9 @@ use crate::vector::on_each_path;
 
 /// Beams computed side by side.
 const LANES: usize = 16;
+
+/// More rows than a small mask has, in a bit that no number of rows has.
+const TOO_MANY_ROWS: i32 = 1 << 20;
 
 /// Keeps a slope finite; a side so level has no height.
 const TINY: f32 = 1e-20;
@@ -174,6 +178,11 @@ fn sets<const TURNED: bool>(x: &Lanes, y: &Lanes, near: &Lanes, far: &Lanes, sha
         out.columns[k] = floor_more(min(center_x + corner_x, clip.1), place.dx) - out.column[k];
         out.row[k] = floor_less(bottom, place.dy);
         out.rows[k] = floor_more(top, place.dy) - out.row[k];
+        if TURNED {
+            // Where no corner turns more than a quarter away from the beam, this is not negative.
+            let ahead = min(low, far * shape.cos_turn - width * shape.sin_turn);
+            out.rows[k] |= (ahead.to_bits() as i32 >> 31) & TOO_MANY_ROWS;
+        }
     }
     out
 }
@@ -192,8 +201,10 @@ impl Sets {
                 corner.0 + step * if step > 0.0 { above } else { below }
             };
             let (rising, falling) = (self.rising[k], self.falling[k]);
-            let left = max(reach((self.left.0[k], self.left.1[k]), falling, rising), self.clip.0[k]);
-            let right = min(reach((self.right.0[k], self.right.1[k]), rising, falling), self.clip.1[k]);
+            // The edges of a set without width are one line, and rounding may put either to the left.
+            let a = reach((self.left.0[k], self.left.1[k]), falling, rising);
+            let b = reach((self.right.0[k], self.right.1[k]), rising, falling);
+            let (left, right) = (max(min(a, b), self.clip.0[k]), min(max(a, b), self.clip.1[k]));
             let column = self.column[k] as f32;
             let mask = columns_mask(left - (column + place.dx), right - (column - place.dx));
             let some = (row <= self.rows[k]) & (left <= right);
