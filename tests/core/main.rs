@@ -26,5 +26,6 @@ mod rules_near;
 mod rules_support;
 mod sensor_model;
 mod sensor_scan;
+mod surveyor;
 mod tidy;
 mod vector;

@@ -243,6 +243,10 @@ impl<S: Sheet> Drawing<'_, S> {
         if sensor_translation(scan) > 0.0 {
             for behind in NEAREST {
                 let nearest = config.min_obstacle_width() + behind;
+                // Then no point of the star is beyond, and nothing is drawn farther away than the window was told.
+                if nearest * frame.scale > frame.reach {
+                    break;
+                }
                 self.draw_star(config, scan, frame, nearest);
                 let disc = Disc { center: frame.origin, radius: nearest * frame.scale };
                 cover::<BOUNDARY>(self.sheet, &disc, frame.dilation());
