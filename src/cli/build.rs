@@ -4,6 +4,7 @@ use super::mapper::{BATCH, Mapper};
 use super::options::{MapOptions, SENSOR, SensorOptions, map_config, rule_name};
 use super::output::{Failure, Progress, causes, say, say_json};
 use crate::logs::{LogReader, LogScan, PoseError};
+use crate::mapping::Surveyor;
 use crate::picture::{Picture, known_range};
 use crate::quadtree::{LeafRange, TreeStatistics};
 use crate::sensor::{PoseBox, PoseLimits, Scan, ScanError, ScanLimits, ScanSpec, SensorModel};
@@ -161,7 +162,9 @@ impl Build {
                     if !taken {
                         return Ok(None);
                     }
-                    self.scans.scan(scan, &sensor).map(Some).with_context(|| format!("line {line}"))
+                    let scan = self.scans.scan(scan, &sensor);
+                    let fitting = scan.and_then(|scan| Surveyor::fits(mapper.config(), &scan).map(|()| Some(scan)));
+                    fitting.with_context(|| format!("line {line}"))
                 });
                 match checked {
                     Ok(Some(scan)) => {

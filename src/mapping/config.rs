@@ -8,6 +8,9 @@ use thiserror::Error;
 /// Longest reach of a sensor in leaves: what one scan may cost is bounded by it.
 pub const MAX_REACH_CELLS: f64 = 16_384.0;
 
+/// Widest box of a sensor's positions in leaves: every set of a scan grows by it.
+pub const MAX_SPREAD_CELLS: f64 = 4_096.0;
+
 /// Largest `min_obstacle_width`, metres.
 pub const MAX_OBSTACLE_WIDTH: f64 = 10.0;
 
@@ -48,12 +51,13 @@ pub enum MapConfigError {
     },
     /// The sensor's reach is too many leaves.
     #[error(
-        "sensors[{name:?}].range_max (with its error and twice the mount) is {cells} leaves, the limit is {MAX_REACH_CELLS}"
+        "sensors[{name:?}].range_max (with its error, and twice beam_diameter and mount) is {cells} leaves, the limit is \
+         {MAX_REACH_CELLS}"
     )]
     Reach {
         /// The sensor's name.
         name: String,
-        /// `(range_max + e+ + 2 |mount|) / resolution`
+        /// `(range_max + e+ + 2 w_b + 2 |mount|) / resolution`
         cells: f64,
     },
     /// No sensors, too many, or a bad name.
@@ -96,7 +100,8 @@ impl MapConfig {
                 )));
             }
             let spec = sensor.spec();
-            let metres = spec.range_max + spec.range_error_plus + 2.0 * spec.mount.x.hypot(spec.mount.y);
+            let aside = spec.beam_diameter + spec.mount.x.hypot(spec.mount.y);
+            let metres = spec.range_max + spec.range_error_plus + 2.0 * aside;
             let cells = metres / grid.resolution();
             if cells > MAX_REACH_CELLS {
                 return Err(MapConfigError::Reach { name: name.clone(), cells });

@@ -33,6 +33,9 @@ pub enum ScanError {
     /// The field of view is more than a full circle.
     #[error("{field}: the beams span {span} rad, more than a full circle")]
     SpanTooWide { field: &'static str, span: f64 },
+    /// What the scan says would be spread over more leaves of the map than one scan may cost.
+    #[error("{field} spans {cells} leaves of the map, the limit is {limit}")]
+    TooManyLeaves { field: &'static str, cells: f64, limit: f64 },
     /// A scalar field is negative, not finite or too large.
     #[error("{field} must be between 0 and {limit}, got {value}")]
     OutOfRange { field: &'static str, value: f64, limit: f64 },
@@ -52,6 +55,7 @@ impl ScanError {
             Self::LengthMismatch { .. } => "LENGTH_MISMATCH",
             Self::BadAngle { .. } => "BAD_ANGLE",
             Self::SpanTooWide { .. } => "SPAN_TOO_WIDE",
+            Self::TooManyLeaves { .. } => "TOO_MANY_LEAVES",
             Self::OutOfRange { .. } => "OUT_OF_RANGE",
         }
     }
@@ -66,6 +70,7 @@ impl ScanError {
             | Self::PoseTooWide { field, .. }
             | Self::BadAngle { field, .. }
             | Self::SpanTooWide { field, .. }
+            | Self::TooManyLeaves { field, .. }
             | Self::OutOfRange { field, .. } => field,
             Self::NoBeams | Self::TooManyBeams { .. } => "ranges",
             Self::LengthMismatch { .. } => "angles",

@@ -176,6 +176,7 @@ impl Task {
             sweep_translation: input.sweep_translation,
         };
         let scan = Scan::new(spec, sensor, &self.settings.scan).map_err(scan_refusal)?;
+        Surveyor::fits(&self.config, &scan).map_err(scan_refusal)?;
         if Surveyor::reaches(&self.config, &scan) {
             Ok(scan)
         } else {

@@ -4,7 +4,7 @@
 
 use super::service_support::{TestStore, applied, config, counts, hall, leaves, open, ring, served};
 use std::f64::consts::TAU;
-use ubbmap::sensor::Angles;
+use ubbmap::sensor::{Angles, PoseLimits};
 use ubbmap::service::{ErrorKind, RawPose, ScanInput, ServiceSettings};
 
 #[tokio::test(flavor = "multi_thread")]
@@ -137,6 +137,19 @@ async fn bad_scans_are_named_and_good_ones_applied() {
         let field = ["sensor", "robot", "pose", "ranges", "angle", "footprint", "sweep"];
         assert!(field.iter().any(|word| rejection.detail.contains(word)), "names the field: {}", rejection.detail);
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pose_box_of_more_leaves_than_a_scan_may_cost_is_named_whatever_the_limit_in_metres() {
+    let store = TestStore::new();
+    let pose = PoseLimits { max_position_width: 1e6, ..PoseLimits::default() };
+    let (service, name) = hall(&store, ServiceSettings { pose, ..ServiceSettings::default() }).await;
+    let wide = RawPose { x: (-4e5, 4e5), y: (0.0, 0.0), theta: (0.0, 0.0) };
+    let answer = service.insert(&name, vec![ScanInput { pose: Some(wide), ..ring("amr-1", None, 0.0) }]).await.unwrap();
+    assert_eq!(counts(&answer), (0, 0, 1));
+    let rejection = &answer.rejected[0];
+    assert_eq!(rejection.code, "TOO_MANY_LEAVES");
+    assert!(rejection.detail.contains("pose"), "names the field: {}", rejection.detail);
 }
 
 #[tokio::test(flavor = "multi_thread")]

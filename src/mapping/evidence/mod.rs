@@ -21,11 +21,11 @@ mod sheet;
 mod star;
 mod window;
 
-use super::config::MAX_REACH_CELLS;
+use super::config::{MAX_REACH_CELLS, MAX_SPREAD_CELLS};
 use super::{EvidenceRule, MapConfig};
 use crate::interval::{Box2, Interval};
 use crate::quadtree::LeafMasks;
-use crate::sensor::{Reading, Scan};
+use crate::sensor::{Reading, Scan, ScanError};
 use crate::vector::Path;
 use canvas::Canvas;
 use cones::{ConeTrig, Cones, Footprint};
@@ -121,7 +121,8 @@ impl Surveyor {
     }
 
     /// The leaf sets X_OCC (7) and X_EMP of a scan by the map's evidence rule, held to the root, `X_EMP := X_EMP \ X_OCC`.
-    /// Does not look at a map: the same configuration and scan give the same sets.
+    /// Does not look at a map: the same configuration and scan give the same sets. A scan that [`Surveyor::fits`] refuses says
+    /// nothing.
     pub fn survey(&mut self, config: &MapConfig, scan: &Scan) -> LeafMasks {
         let mut masks = LeafMasks::default();
         self.survey_into(config, scan, &mut masks);
@@ -133,7 +134,7 @@ impl Surveyor {
         self.dense.window.recycle(masks);
         self.directions.prepare(scan);
         let reach = reach(config, scan);
-        if !meets_root(config, scan, reach) {
+        if !meets_root(config, scan, reach) || bounded(config, scan, reach).is_err() {
             return;
         }
         let frame = Frame::new(config.grid(), scan, reach);
@@ -158,6 +159,15 @@ impl Surveyor {
             self.draw_dense(config, scan, &frame);
         }
         self.dense.window.emit(self.path, depth, masks);
+    }
+
+    /// Checks that a scan spreads over no more leaves of the map than one scan may cost.
+    ///
+    /// # Errors
+    /// [`ScanError::TooManyLeaves`]: the box of the sensor's positions is wider than [`MAX_SPREAD_CELLS`] leaves (field `pose`),
+    /// or, of a sensor that is not one of the configuration's, the ranges reach too far (field `ranges`).
+    pub fn fits(config: &MapConfig, scan: &Scan) -> Result<(), ScanError> {
+        bounded(config, scan, reach(config, scan))
     }
 
     /// True when the scan can say something about some leaf of the map: false when all that it can reach is outside
@@ -309,6 +319,22 @@ fn meets_root(config: &MapConfig, scan: &Scan, reach: f64) -> bool {
     let origins = scan.origins();
     let around = Interval::around(0.0, reach + 2.0 * config.grid().resolution());
     config.grid().bounds().meets(Box2::new(origins.x + around, origins.y + around))
+}
+
+/// Window coordinates must stay small ([`frame`]), and so must the sets, which all grow by the box of positions.
+fn bounded(config: &MapConfig, scan: &Scan, reach: f64) -> Result<(), ScanError> {
+    let origins = scan.origins();
+    let wide = origins.x.width().max(origins.y.width());
+    // A sensor of the configuration reaches three times its limit at most, rounding aside: with all that lies aside.
+    let limits = [("pose", wide, MAX_SPREAD_CELLS), ("ranges", reach, 4.0 * MAX_REACH_CELLS)];
+    for (field, metres, limit) in limits {
+        let cells = metres / config.grid().resolution();
+        // One part in 10^12 above is rounding of the sender's.
+        if cells > limit * (1.0 + 1e-12) {
+            return Err(ScanError::TooManyLeaves { field, cells, limit });
+        }
+    }
+    Ok(())
 }
 
 /// How far the sensor moves over a sweep, metres, rounded up: along with the robot, and, where it is not mounted at the
