@@ -64,11 +64,42 @@ fn a_heading_of_more_than_half_a_turn_lost_the_far_side_of_the_measurement() {
     check(grid, &scan, 4_000, "a full turn".to_owned(), &mut Dice(7));
 }
 
+/// At next to no range the near corners lie farther behind the sensor than the far ones before it, and alone reach the farthest point
+/// of the set where they pass an axis by less than half a degree: by a part of a leaf, of a set of thousands. An edge of leaves
+/// lies where that shows.
+#[test]
+fn x_occ_holds_the_near_corners_of_a_beam_as_they_pass_an_axis() {
+    let mut dice = Dice(29);
+    for round in 0..16 {
+        let (opening, diameter, range, resolution) = (0.049_f64, 0.5, dice.real(2e-6, 2e-5), 1e-4);
+        // From 0 to twice the range.
+        let spec = sensor(opening, diameter, range);
+        let radius = 0.5 * diameter * (0.5 * opening).cos();
+        let (low, narrow) = (-radius * (0.25 * opening).tan(), radius);
+        let (half, past) = (dice.real(0.1, 1.4), dice.real(0.004, 0.008));
+        let quarter = f64::from(round % 4);
+        let theta = quarter * 0.5 * PI - narrow.atan2(low) - half + past;
+        let scan = scan(spec, (theta - half, theta + half), vec![0.0], vec![range as f32]);
+        let farthest = low.hypot(narrow) - 0.005 * resolution;
+        let on_edge = |sign: f64| sign * farthest - ((sign * farthest + 0.8) / resolution).round() * resolution;
+        let origin =
+            (on_edge(if round % 4 == 2 { -1.0 } else { 1.0 }), on_edge(if round % 4 == 3 { -1.0 } else { 1.0 }));
+        let grid = Grid::new(resolution, 14, Some(origin)).unwrap();
+        let leaves = survey_wide(grid, EvidenceRule::Guaranteed, 0.02, &scan);
+        for i in 0..=200 {
+            let turn = theta + half - 2.0 * past * f64::from(i) / 200.0;
+            let point = (low * turn.cos() - narrow * turn.sin(), low * turn.sin() + narrow * turn.cos());
+            let leaf = grid.leaf_at(point.0, point.1).unwrap();
+            assert!(leaves.occupied(leaf), "round {round}: {point:?} at {turn} of {spec:?}, heading {theta} +- {half}");
+        }
+    }
+}
+
 #[test]
 fn x_occ_holds_every_point_of_beams_wider_than_they_are_long() {
     let mut dice = Dice(23);
     let mut points = 0;
-    for round in 0..300 {
+    for round in 0..800 {
         let opening = match dice.whole(0, 3) {
             0 => dice.pick(&[0.0, 1e-9, 0.004, 0.05]),
             1 => dice.real(0.0, 0.05),
@@ -77,14 +108,19 @@ fn x_occ_holds_every_point_of_beams_wider_than_they_are_long() {
         let error = dice.pick(&[0.0, 0.0005, 0.005]);
         let mut spec = sensor(opening, dice.pick(&[0.0, 0.003, 0.012, 0.05, 0.08]), error);
         spec.beam_angle_error = dice.pick(&[0.0, 0.0, 0.01, 0.5]);
-        let half = dice.pick(&[0.0, 0.01, 0.2, 0.5, 1.0, 1.5, 2.5, 3.14]);
+        let half = dice.pick(&[0.0, 0.01, 0.2, 0.5, 1.0, 1.5, 2.5, 3.1]);
         let theta = dice.real(-4.0, 4.0);
-        let angles: Vec<f64> = (0..19).map(|_| dice.real(-3.0, 3.0)).collect();
+        // Beams of many directions cover one another's sets.
+        let beams = dice.pick(&[1, 1, 2, 19]);
+        let angles: Vec<f64> = (0..beams).map(|_| dice.real(-3.0, 3.0)).collect();
         let ranges = angles.iter().map(|_| 10_f64.powf(dice.real(-4.0, -1.5)) as f32).collect();
         let scan = scan(spec, (theta - half, theta + half), angles, ranges);
-        let resolution = dice.pick(&[1e-4, 5e-4, 0.002]);
-        let grid = Grid::new(resolution, 12, Some((-0.2, -0.2))).unwrap();
-        points += check(grid, &scan, 40, format!("round {round}: {spec:?}, heading {theta} +- {half}"), &mut dice);
+        // Sets of hundreds of leaves, and of so few that they are drawn as small masks.
+        let resolution = dice.pick(&[1e-4, 5e-4, 0.002, 0.005, 0.01, 0.02]);
+        let origin = -300.0 * resolution - dice.real(0.0, resolution);
+        let grid = Grid::new(resolution, 12, Some((1.7 * origin, origin))).unwrap();
+        let draws = 800 / beams;
+        points += check(grid, &scan, draws, format!("round {round}: {spec:?}, heading {theta} +- {half}"), &mut dice);
     }
-    assert!(points > 300_000, "{points} points");
+    assert!(points > 600_000, "{points} points");
 }

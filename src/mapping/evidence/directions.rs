@@ -117,10 +117,30 @@ fn even(angles: &Angles, beams: usize) -> Option<Even> {
     let Angles::Uniform { increment, .. } = angles else { return None };
     let step = increment.abs();
     let seam = TAU - (beams - 1) as f64 * step;
-    if beams < 2 || seam < step - SEAM {
+    // Of steps smaller than what a seam may differ by, the last beam could lie behind the first: then the beams are not in
+    // ascending angle as they come.
+    if beams < 2 || seam <= 0.0 || seam < step - SEAM {
         return None;
     }
     let seam_error = (seam - step).abs();
     let ring = seam_error <= SEAM;
     Some(Even { step, ring, seam_error: if ring { seam_error } else { 0.0 } })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Angles, TAU, even};
+
+    /// A table of as many beams is never made: the limit on beams is far below.
+    #[test]
+    fn a_last_beam_behind_the_first_was_a_ring_of_tiny_steps() {
+        let ring = |increment: f64, beams: usize| even(&Angles::Uniform { min: 0.0, increment }, beams);
+        for step in [9e-7, 5e-7, 1e-8] {
+            let beams = (TAU / step) as usize;
+            assert!(ring(step, beams).is_some_and(|even| even.ring));
+            assert!(ring(step, beams + 2).is_none() && ring(-step, beams + 2).is_none());
+        }
+        assert!(ring(TAU / 360.0, 360).is_some_and(|even| even.ring));
+        assert!(ring(TAU / 360.0, 361).is_none());
+    }
 }

@@ -8,9 +8,10 @@ use crate::sensor::Scan;
 
 /// Slack of the window arithmetic, leaves.
 ///
-/// A scan reaches at most four times [`super::super::config::MAX_REACH_CELLS`] (its range, and twice that aside for a wide
-/// heading; the footprint), so window coordinates are below 2^18 leaves and one operation is off by at most 2^-35. A
-/// vertex is the sensor's centre plus a distance times a product of two unit vectors: below 16 operations, 2^-31. Angles are
+/// A scan reaches at most four times [`super::super::config::MAX_REACH_CELLS`] (its range, twice that aside for a wide heading,
+/// the beam's diameter; or the footprint and twice the mount), from anywhere in a box of positions that is at most
+/// [`super::super::config::MAX_SPREAD_CELLS`] wide. The window has room for that on both sides, so its coordinates are below 2^18
+/// leaves and one operation is off by at most 2^-35. A vertex is the sensor's centre plus a distance times a product of two unit vectors: below 16 operations, 2^-31. Angles are
 /// off by at most 2^-42 rad (see [`super::star`]), which moves a vertex by at most 2^14 * 2^-42 = 2^-28. An edge's x is found
 /// for a y that is off by 2^-34. Together below 2^-27; 2^-20 leaves a factor of 128.
 const WINDOW_SLACK: f64 = 1.0 / (1 << 20) as f64;
@@ -89,10 +90,15 @@ impl Frame {
     ///
     /// With `u = 2^-24` and `R` the reach, all in leaves: a unit vector's part is off by 3.5 u (its own rounding, that of the
     /// heading's direction, two products and a sum), `rho` by 7 u R (the scaled range, its error, the product and sum of the
-    /// rule), so a vertex by 13 u R with its product and the sum with the sensor's place; the dilation and `floor` add 2 u R.
-    /// Where the x of an edge or side is found for a y, that y is off by as much as the vertex and 8 u R more. A heading
-    /// taken for whole steps (`NEGLIGIBLE` in [`super::sectors`]) moves what is shown by up to 4 u R. Together 28 u R; taken is
-    /// 32 u (R + 2) = 2^-19 (R + 2).
+    /// rule), so a vertex by 13 u R with its product and the sum with the sensor's place. Where the x of an edge or side is found
+    /// for a y, that y is off by as much as the vertex and 8 u R more. A heading taken for whole steps (`NEGLIGIBLE` in
+    /// [`super::sectors`]) moves what is shown by up to 4 u R. The dilation `dx`, `less + 0.5` and `v - (..)` of a floor are rounded
+    /// once each, the first two at the size of the half width S of the box of positions, the last at that of R + S: u R + 3 u S,
+    /// below 4 u R while S is no larger than R. Together 29 u R; taken is 32 u (R + 2) = 2^-19 (R + 2).
+    ///
+    /// Where S is larger than R, the star proves nothing: of no leaf are all positions within R, whatever is rounded. X_OCC is drawn
+    /// in single precision in sets of at most 16 columns, so there S is at most 8, and the 24 u that 3 u S may come to are covered
+    /// by the 64 u of the two leaves; larger sets are drawn in double precision.
     pub(super) fn rounding(&self) -> f64 {
         (self.reach + 2.0) / f64::from(1 << 19)
     }

@@ -64,7 +64,7 @@ pub(super) struct GapRule {
 pub(super) struct Sectors {
     /// Ranges in ascending angle, metres.
     pub(super) ranges: Vec<f32>,
-    /// `d-`, leaves; negative where a beam says nothing. Behind the last position the first again.
+    /// `d-`, leaves; negative where a beam says nothing.
     pub(super) near: Vec<f32>,
     /// `d+` of returns, leaves; negative otherwise.
     pub(super) far: Vec<f32>,

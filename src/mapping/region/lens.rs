@@ -6,15 +6,16 @@
 //!
 //! **The slack**, in leaves. Let `d` be [`Grid::cell_slack`], at least `2^-20`: the error of one coordinate of a point. A
 //! lens is made only for regions within `2^24` leaves of the root, so that differences of coordinates, radii and lengths
-//! stay below `2^27`, and with `u = 2^-53`:
+//! stay below `2^27`. The extent that the region's own test is relative to is a sum of them, and may be a little more: below
+//! `9 * 2^24`. With `u = 2^-53`:
 //!
 //! * points that are off by `d` along each axis change a distance by at most `1.5 d`;
 //! * a distance to a line (by projection on it) errs by `12 u 2^27`, the comparison of squares by `4 u 2^27`, the radius
 //!   by `2 u 2^25`: together below `2^-21 <= d / 2`;
-//! * the region's own test widens by `LEAF_SLACK` of the extent, `32 u 2^27 = 2^-21 <= d / 2`, and by the outward
+//! * the region's own test widens by `LEAF_SLACK` of the extent, `32 u 9 2^24`, which is `9 / 16 d` at most, and by the outward
 //!   rounding of the leaf's box and of the region's bounds, a few `u` of the coordinates: below `d / 4`.
 //!
-//! Their sum is below `3 d`; the slack is `4 d`.
+//! Their sum is below `2.9 d`; the slack is `4 d`.
 
 use super::probe::Cover;
 use super::segment::{LEAF_SLACK, Segment};
