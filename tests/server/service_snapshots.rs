@@ -69,7 +69,7 @@ async fn any_order_of_scans_snapshots_restores_and_deletions_is_that_of_a_model(
                     _ => match service.delete_snapshot(&name, &snapshot).await {
                         Ok(()) => assert!(kept.remove(&snapshot).is_some()),
                         Err(error) => {
-                            assert_eq!((error.kind, kept.get(&snapshot)), (ErrorKind::SnapshotNotFound, None))
+                            assert_eq!((error.kind, kept.get(&snapshot)), (ErrorKind::SnapshotNotFound, None));
                         }
                     },
                 }

@@ -76,7 +76,12 @@ fn an_older_database_is_never_served_in_silence() {
         let before = entries(directory.path());
         let error = open(directory.path()).unwrap_err().to_string();
         assert!(error.contains(directory.path().to_str().unwrap()), "{what}: {error}");
-        assert_eq!(entries(directory.path()), before, "{what}: nothing is removed");
+        let mut after = entries(directory.path());
+        // A copy of what was there before an opening that failed.
+        if !before.iter().any(|entry| entry == "damaged") {
+            after.retain(|entry| entry != "damaged");
+        }
+        assert_eq!(after, before, "{what}: nothing is removed");
         error
     };
     older();
