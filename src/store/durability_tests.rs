@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 
 use super::durability::Durability;
+use super::nudge::Nudge;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
@@ -84,6 +85,17 @@ fn a_panic_in_the_flush_is_a_failure() {
     let durability = Durability::start(7, |_| panic!("planted"), || ()).unwrap();
     let ticket = durability.applied();
     assert!(durability.wait(ticket).unwrap_err().contains("panicked"));
+}
+
+#[test]
+fn a_batch_that_hung_on_a_failed_write_was_woken_by_nobody() {
+    let (wake, woken) = channel();
+    let nudge = Nudge::start(move || drop(wake.send(()))).unwrap();
+    // Nobody waits for a round: what hangs has not got so far.
+    woken.recv().unwrap();
+    drop(nudge);
+    while woken.try_recv().is_ok() {}
+    assert!(woken.recv().is_err(), "the thread has ended");
 }
 
 #[test]

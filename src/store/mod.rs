@@ -19,6 +19,7 @@ mod memory_store;
 mod migrate;
 mod migrate_times;
 mod names;
+mod nudge;
 mod record;
 mod sled_catalogue;
 mod sled_commit;

@@ -1,15 +1,13 @@
 //! Copying a database into another while it is written to: everything first, then again what was written meanwhile.
 
-use super::sled_open::{Database, SledOptions, guarded, open_database};
+use super::nudge::Nudge;
+use super::sled_open::{Database, SledOptions, guarded, open_database, wake};
 use super::sled_rewrite::{RewriteStep, Watch};
-use super::stop::Stop;
 use super::{StoreError, keys};
 use std::collections::BTreeSet;
 use std::ops::{Bound, Deref};
 use std::path::Path;
 use std::sync::Arc;
-use std::thread::JoinHandle;
-use std::time::Duration;
 
 /// Bytes of keys and values that are written in one batch.
 const BATCH_BYTES: usize = 256 << 10;
@@ -31,49 +29,19 @@ impl Amount {
     }
 }
 
-/// How often it is looked whether a flush hangs on an error.
-const NUDGE_EVERY: Duration = Duration::from_millis(200);
-
 /// A database that is being written by a rewrite alone.
-///
-/// sled's `flush` can miss the signal that a write failed (the disk is full, say) and waits for ever then; a second one
-/// fails at once and wakes it. A thread beside this database does that.
 pub(super) struct Target {
     nudge: Nudge,
     db: Arc<Database>,
-}
-
-struct Nudge {
-    stop: Arc<Stop>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Drop for Nudge {
-    fn drop(&mut self) {
-        self.stop.ask();
-        if let Some(thread) = self.thread.take() {
-            // All that it calls is a flush, whose panic is caught.
-            let _ = thread.join();
-        }
-    }
 }
 
 impl Target {
     /// Opens the database, or makes it.
     pub(super) fn open(path: &Path, options: SledOptions) -> Result<Self, StoreError> {
         let db = Arc::new(open_database(path, options)?);
-        let stop = Arc::<Stop>::default();
-        let (nudged, of_thread) = (Arc::clone(&db), Arc::clone(&stop));
-        let run = move || {
-            while !of_thread.within(NUDGE_EVERY) {
-                if nudged.context.global_error().is_err() {
-                    let _ = guarded("waking a flush", || nudged.flush());
-                }
-            }
-        };
-        let thread = std::thread::Builder::new().name("store-nudge".to_owned()).spawn(run);
-        let thread = thread.map_err(|source| StoreError::Io { what: "starting a thread".to_owned(), source })?;
-        Ok(Self { nudge: Nudge { stop, thread: Some(thread) }, db })
+        let nudged = Arc::clone(&db);
+        let nudge = Nudge::start(move || wake(&nudged))?;
+        Ok(Self { nudge, db })
     }
 
     /// The database, for others to write to.

@@ -327,6 +327,14 @@ pub(super) fn guarded<T>(what: &str, call: impl FnOnce() -> sled::Result<T>) -> 
     }
 }
 
+/// Wakes what hangs in a database in which a write has failed: see [`super::nudge`].
+pub(super) fn wake(db: &sled::Db) {
+    if db.context.global_error().is_err() {
+        // It fails as the one that hangs should have, and wakes that one.
+        let _ = guarded("waking a flush", || db.flush());
+    }
+}
+
 /// A database without a sound header is not taken for an empty store.
 fn check_header(directory: &Path, path: &Path, db: &Database) -> Result<(), StoreError> {
     let value = guarded("reading the store's header", || db.get(keys::HEADER))?.ok_or_else(|| {

@@ -3,8 +3,9 @@
 use super::durability::{Durability, Syncer, Ticket};
 use super::keys;
 use super::mark::Mark;
+use super::nudge::Nudge;
 use super::record;
-use super::sled_open::{Database, guarded};
+use super::sled_open::{Database, guarded, wake};
 use super::sled_records::Records;
 use super::{StoreError, lock};
 use sled::IVec;
@@ -60,6 +61,8 @@ impl Last {
 /// Everything that writes to the database passes here.
 pub(super) struct Writes {
     durability: Durability,
+    /// Dropped after the thread that may hang.
+    _nudge: Nudge,
     sink: Arc<Mutex<Sink>>,
     last: Mutex<Last>,
     /// Dropped last: with it the lock of the directory is let go.
@@ -73,18 +76,14 @@ impl Writes {
         let of_thread = Arc::clone(&sink);
         let make_durable = move |last_write| lock(&of_thread).make_durable(last_write);
         let nudged = Arc::clone(&records);
-        let nudge = move || {
-            // The database is not replaced while a flush is under way, so this is the one that hangs.
-            let db = nudged.db();
-            if db.context.global_error().is_err() {
-                // It fails as the one that hangs should have, and wakes that one.
-                let _ = db.flush();
-            }
-        };
+        // The database is not replaced while a write is under way, so this is the one that hangs.
+        let nudge = move || wake(&nudged.db());
+        // Those who wait for the thread wake it; who hangs in a batch before that has nobody else.
+        let beside = Nudge::start(nudge.clone())?;
         let durability = Durability::start(last_write, make_durable, nudge)
             .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
         let last = Last { number: last_write, noted: None, grown: 0 };
-        Ok(Self { durability, sink, last: Mutex::new(last), records })
+        Ok(Self { durability, _nudge: beside, sink, last: Mutex::new(last), records })
     }
 
     /// Why nothing is written any more.
