@@ -107,7 +107,7 @@ class Load:
         urllib.request.urlopen(request, timeout=20).read()
         self.watch = urllib.request.urlopen(server + MAP + "/events", timeout=20)
         self.stopped = threading.Event()
-        self.thread = threading.Thread(target=self.run)
+        self.thread = threading.Thread(target=self.run, daemon=True)
         self.thread.start()
 
     def run(self):
@@ -184,8 +184,8 @@ def look(program, work, server):
         firing = {rule["name"] for rule in rules if rule["state"] == "firing"}
         assert not firing, f"alerts fire on a server that is well: {firing}"
     finally:
-        load.stop()
         prometheus.terminate()
+        load.stop()
         prometheus.wait(30)
     print("figures: every metric is shown, documented and drawn; every query of the dashboard has an answer; no alert fires")
 

@@ -92,7 +92,7 @@ class Container:
     """
 
     def __init__(self, recipe, target, volume, environment):
-        self.recipe, self.target = recipe, target
+        self.recipe, self.target, self.started = recipe, target, []
         self.environment = {"PATH": "/usr/local/bin:/usr/bin:/bin", **recipe.environment, **environment}
         [mounted] = recipe.volumes
         inside = target / mounted.lstrip("/")
@@ -121,12 +121,19 @@ class Container:
             libc.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0)
 
         environment = {**self.environment, **options.pop("environment", {})}
-        return subprocess.Popen(arguments, preexec_fn=confine, env=environment, text=True, **options)
+        self.started.append(subprocess.Popen(arguments, preexec_fn=confine, env=environment, text=True, **options))
+        return self.started[-1]
+
+    def clear(self):
+        """Ends what still runs, so that a check that failed leaves nothing."""
+        for process in self.started:
+            process.kill()
+            process.wait()
 
     def run(self, arguments):
         """Runs a process to its end: (exit code, what it printed)."""
         process = self.start(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        printed, _ = process.communicate(timeout=60)
+        printed, _ = process.communicate(timeout=30)
         return process.returncode, printed
 
     def healthy(self):

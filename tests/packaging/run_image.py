@@ -69,7 +69,7 @@ def end(process, code=0):
 
 
 def stays_shut(container):
-    """What the confinement must prevent; without it these would succeed."""
+    """What the confinement must prevent."""
     recipe = container.recipe
     assert recipe.uid != 0, "the image's user is root"
     code, printed = container.run([*recipe.entry, *recipe.command, "--data", "/elsewhere"])
@@ -99,7 +99,14 @@ def in_a_directory(staged, work, prometheus):
     recipe = Recipe()
     lay_out(recipe, staged, work / "root")
     container = Container(recipe, work / "root", work / "data", {})
+    try:
+        lives(container, work, prometheus)
+    finally:
+        container.clear()
 
+
+def lives(container, work, prometheus):
+    recipe = container.recipe
     # The image alone does not open itself to a network.
     code, printed = container.run([*recipe.entry, *recipe.command])
     assert code == 64 and "insecure" in printed, f"without UBBMAP_INSECURE it must not start: {code} {printed}"
@@ -144,11 +151,14 @@ def here(staged, work):
     for again in (False, True):
         environment |= {"UBBMAP_ZENOH__MODE": "router", "UBBMAP_ZENOH__LISTEN": "tcp/127.0.0.1:0"} if again else {}
         process = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=environment)
-        server = re.search(r"http://[0-9.:]+", process.stdout.readline()).group(0)
-        health = [arguments[0], *Recipe().health[1:], "--server", server]
-        subprocess.run(health, check=True, env=environment)
-        room_is_there(server) if again else map_a_room(server)
-        end(process)
+        try:
+            server = re.search(r"http://[0-9.:]+", process.stdout.readline()).group(0)
+            health = [arguments[0], *Recipe().health[1:], "--server", server]
+            subprocess.run(health, check=True, env=environment, stdout=subprocess.DEVNULL)
+            room_is_there(server) if again else map_a_room(server)
+            end(process)
+        finally:
+            process.kill()
     print("binary: health check, one scan, SIGTERM, the same data again with Zenoh on")
 
 
