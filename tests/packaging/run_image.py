@@ -154,7 +154,7 @@ def here(staged, work):
         try:
             server = re.search(r"http://[0-9.:]+", process.stdout.readline()).group(0)
             health = [arguments[0], *Recipe().health[1:], "--server", server]
-            subprocess.run(health, check=True, env=environment, stdout=subprocess.DEVNULL)
+            subprocess.run(health, check=True, env=environment, capture_output=True)
             room_is_there(server) if again else map_a_room(server)
             end(process)
         finally:
