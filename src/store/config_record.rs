@@ -5,6 +5,7 @@
 
 use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader, put_f64, put_name};
+use super::digest::Digest;
 use super::record::Record;
 use super::{MapName, SequenceWindow};
 use crate::mapping::{EvidenceRule, MapConfig};
@@ -161,13 +162,20 @@ pub(super) struct Counts {
     pub(super) kept: u64,
     /// Every block that changed after this revision has a record.
     pub(super) complete_from: u64,
+    /// Of the block records.
+    pub(super) block_digest: Digest,
+    /// Of the window records.
+    pub(super) window_digest: Digest,
+    /// Of the sensor records.
+    pub(super) sensor_digest: Digest,
 }
 
 impl Counts {
     pub(super) fn encode(&self) -> Vec<u8> {
-        let Self { blocks, windows, sensors, snapshots, kept, complete_from } = self;
+        let Self { blocks, windows, sensors, snapshots, kept, complete_from, .. } = self;
+        let digests = [&self.block_digest.0, &self.window_digest.0, &self.sensor_digest.0];
         let fields = [blocks, windows, sensors, snapshots, kept, complete_from];
-        fields.iter().flat_map(|count| count.to_be_bytes()).collect()
+        fields.iter().chain(&digests).flat_map(|count| count.to_be_bytes()).collect()
     }
 
     /// The counts of a record, which also tells of its map's revision.
@@ -184,6 +192,9 @@ impl Counts {
             counts.snapshots = reader.u64("snapshots")?;
             counts.kept = reader.u64("kept records")?;
             counts.complete_from = reader.u64("complete from")?;
+            counts.block_digest = Digest(reader.u64("digest of blocks")?);
+            counts.window_digest = Digest(reader.u64("digest of windows")?);
+            counts.sensor_digest = Digest(reader.u64("digest of sensors")?);
         }
         reader.end()?;
         Ok(counts)

@@ -11,6 +11,7 @@ use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader, put_f64};
 use super::checks::holds;
 use super::config_record::{MapRecord, decode_block};
+use super::digest::Digest;
 use super::keys::{self, Kind};
 use super::record::{self, Record, damaged};
 use super::sled_catalogue::Entry;
@@ -57,8 +58,9 @@ impl Known {
     }
 
     /// A block whose record is damaged: it may hold anything, and reading it tells the damage.
-    fn unreadable(highest: Class) -> Self {
-        Self { stamp: BlockStamp::default(), max: highest, mixed: true }
+    fn unreadable(highest: Class, value: &[u8]) -> Self {
+        let stamp = BlockStamp { revision: record::revision_of(value), changed: 0.0 };
+        Self { stamp, max: highest, mixed: true }
     }
 }
 
@@ -143,7 +145,7 @@ impl Group {
             let (changed, view) = decode_block(codec, &record).ok()?;
             Some(Known::of(&view, BlockStamp { revision: record.revision, changed }))
         };
-        self.note(address, read().unwrap_or_else(|| Known::unreadable(codec.highest())));
+        self.note(address, read().unwrap_or_else(|| Known::unreadable(codec.highest(), value)));
     }
 }
 
@@ -184,14 +186,16 @@ impl Records {
     /// blocks do. The map must be held.
     pub(super) fn known_blocks(&self, entry: &Entry) -> Result<Vec<(BlockAddress, Known)>, StoreError> {
         let known = self.read_groups(entry)?;
-        if known.len() as u64 == entry.counts.blocks {
+        if known.len() as u64 == entry.counts.blocks && digest_of(&known) == entry.counts.block_digest {
             return Ok(known);
         }
         tracing::warn!(
             map = entry.stored.id.0,
-            "its groups of blocks do not tell of all blocks: each block is read instead"
+            "its groups of blocks do not tell of all blocks as they are: each block is read instead"
         );
-        self.read_blocks(entry, &mut |_, _| ())
+        let known = self.read_blocks(entry, &mut |_, _| ())?;
+        entry.check_blocks(&known)?;
+        Ok(known)
     }
 
     /// What a map's groups tell of its blocks. A group that cannot be right is made anew from its blocks.
@@ -235,6 +239,28 @@ impl Records {
             Some((number, _)) => Err(damaged(&keys::group(entry.stored.id, *number), "missing")),
             None => Ok(()),
         }
+    }
+}
+
+fn digest_of(known: &[(BlockAddress, Known)]) -> Digest {
+    let mut digest = Digest::default();
+    known.iter().for_each(|(address, known)| digest.toggle_block(*address, known.stamp.revision));
+    digest
+}
+
+impl Entry {
+    /// Holds all of a map's blocks against its state.
+    pub(super) fn check_blocks(&self, known: &[(BlockAddress, Known)]) -> Result<(), StoreError> {
+        let (found, expected) = (known.len() as u64, self.counts.blocks);
+        let key = keys::of_map(Kind::State, self.stored.id);
+        if found != expected {
+            return Err(damaged(&key, &format!("{found} blocks found of {expected}")));
+        }
+        if digest_of(known) != self.counts.block_digest {
+            let why = format!("some of its blocks are older than its revision, {}", self.stored.revision);
+            return Err(damaged(&key, &why));
+        }
+        Ok(())
     }
 }
 

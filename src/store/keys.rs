@@ -62,7 +62,7 @@ impl Kind {
     /// The version of the form in which records of this kind are written, and the newest that is read.
     pub(super) fn version(self) -> u8 {
         match self {
-            Self::State | Self::Block | Self::Group | Self::KeptBlock => 2,
+            Self::LastWrite | Self::State | Self::Block | Self::Group | Self::KeptBlock => 2,
             _ => 1,
         }
     }

@@ -8,7 +8,7 @@ use super::groups::open_group;
 use super::keys::{self, Kind};
 use super::record::{self, Record};
 use super::sled_open::guarded;
-use super::{StoreError, config_record};
+use super::{MapId, StoreError, config_record};
 
 /// Records that are written in one batch.
 const BATCH: usize = 1000;
@@ -67,7 +67,7 @@ fn old_records(
         }
         match record::open(&key, kind, &value) {
             Ok(record) if record.version < kind.version() => {
-                if let Some(content) = in_new_form(kind, &key, &value, &record) {
+                if let Some(content) = in_new_form(tree, kind, &key, &value, &record)? {
                     batch.push((key.to_vec(), record::seal(&key, record.revision, &content)));
                 }
             }
@@ -79,14 +79,41 @@ fn old_records(
 }
 
 /// A content in the new form; `None` where the old one cannot be read.
-fn in_new_form(kind: Kind, key: &[u8], value: &[u8], record: &Record<'_>) -> Option<Vec<u8>> {
-    match kind {
+fn in_new_form(
+    tree: &sled::Tree,
+    kind: Kind,
+    key: &[u8],
+    value: &[u8],
+    record: &Record<'_>,
+) -> Result<Option<Vec<u8>>, StoreError> {
+    Ok(match kind {
         Kind::Group => open_group(key, value).ok().map(|group| group.encode()),
-        Kind::State => Counts::decode(record).ok().map(|counts| counts.encode()),
+        Kind::State => match (Counts::decode(record), keys::map_of(key)) {
+            (Ok(counts), Some(id)) => Some(with_digests(tree, id, counts)?.encode()),
+            _ => None,
+        },
         Kind::Block => Some(config_record::timed(0.0, record.content)),
         _ => {
             debug_assert!(false, "{} has one form", keys::describe(key));
             None
         }
+    })
+}
+
+/// The digests of a map as its records are now: what was lost before cannot be told.
+fn with_digests(tree: &sled::Tree, id: MapId, mut counts: Counts) -> Result<Counts, StoreError> {
+    for kind in [Kind::Block, Kind::Window, Kind::Sensor] {
+        let mut records = tree.scan_prefix(keys::of_map(kind, id));
+        while let Some((key, value)) = guarded("reading records of the old version", || records.next().transpose())? {
+            match (kind, keys::block_of(&key)) {
+                (Kind::Block, Some(address)) => {
+                    counts.block_digest.toggle_block(address, record::revision_of(&value));
+                }
+                (Kind::Window, _) => counts.window_digest.toggle_record(&value),
+                (Kind::Sensor, _) => counts.sensor_digest.toggle_record(&value),
+                _ => {}
+            }
+        }
     }
+    Ok(counts)
 }

@@ -89,6 +89,11 @@ pub(super) fn open<'a>(key: &[u8], kind: Kind, value: &'a [u8]) -> Result<Record
     Ok(Record { version: framed[0], revision: u64::from_be_bytes(revision), content })
 }
 
+/// The revision that a value says it is of, whether or not it is sound; 0 where it is too short.
+pub(super) fn revision_of(value: &[u8]) -> u64 {
+    value.get(2..10).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_be_bytes)
+}
+
 /// The error for a record, named by its key.
 pub(super) fn damaged(key: &[u8], why: &str) -> StoreError {
     StoreError::Damaged { what: format!("{}: {why}", keys::describe(key)) }

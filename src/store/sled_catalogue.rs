@@ -3,6 +3,7 @@
 use super::block_codec::BlockCodec;
 use super::bytes::{Malformed, Reader};
 use super::config_record::{Counts, MapRecord, SnapshotRecord, decode_block, decode_sensor, decode_window};
+use super::digest::Digest;
 use super::groups::open_group;
 use super::keys::{self, Kind};
 use super::record::{self, Record, damaged};
@@ -148,6 +149,9 @@ fn read_entry(db: &Database, key: &[u8], value: &[u8], found: &mut DamagedMap) -
     if sensors.len() as u64 != counts.sensors {
         return Err(damaged(&key, &format!("{} sensors found of {}", sensors.len(), counts.sensors)));
     }
+    if Digest::of_records(records.iter().map(|(_, value)| value.as_ref())) != counts.sensor_digest {
+        return Err(damaged(&state_key, "some of its sensors are older than what it says"));
+    }
     let config = map.fixed.with_sensors(sensors).map_err(|why| damaged(&key, &why.to_string()))?;
     let stored = StoredMap { id, name, config, revision: state.revision, created: map.created };
     let snapshots = read_snapshots(db, &stored)?;
@@ -189,6 +193,34 @@ fn read_sensor(key: &[u8], value: &[u8]) -> Result<(String, crate::sensor::Senso
         Ok(sensor)
     })?;
     Ok((name.to_owned(), sensor))
+}
+
+/// The number of the last write, and the digest of the states of all maps; none where the record's form has none.
+pub(super) fn last_write_of(value: &[u8]) -> Result<(u64, Option<Digest>), StoreError> {
+    let record = record::open(&keys::LAST_WRITE, Kind::LastWrite, value)?;
+    let read = || {
+        let mut reader = Reader::new(record.content);
+        let number = reader.u64("number")?;
+        let states = if record.version > 1 { Some(Digest(reader.u64("digest of states")?)) } else { None };
+        reader.end()?;
+        Ok::<_, Malformed>((number, states))
+    };
+    read().map_err(|why| damaged(&keys::LAST_WRITE, &why.to_string()))
+}
+
+/// The digest of the states of all maps; none where one of them is damaged, which is told by itself.
+pub(super) fn states_of(db: &Database) -> Result<Option<Digest>, StoreError> {
+    let mut digest = Digest::default();
+    let mut names = db.scan_prefix([Kind::Name as u8]);
+    while let Some((key, value)) = guarded("reading the names of maps", || names.next().transpose())? {
+        let state = content(&key, Kind::Name, &value, number).map(|id| keys::of_map(Kind::State, MapId(id)));
+        let Ok(state) = state else { return Ok(None) };
+        match guarded("reading a map's state", || db.get(&state))? {
+            Some(value) if record::open(&state, Kind::State, &value).is_ok() => digest.toggle_record(&value),
+            _ => return Ok(None),
+        }
+    }
+    Ok(Some(digest))
 }
 
 /// A record that belongs to a revision may not be of a later one.
@@ -246,7 +278,7 @@ pub(super) fn check_record(key: &[u8], value: &[u8], codec: Option<&BlockCodec>)
     match kind {
         Kind::Header => content(key, kind, value, super::config_record::Header::format_of).map(|_| ()),
         Kind::NextMap => content(key, kind, value, number).map(|_| ()),
-        Kind::LastWrite => content(key, kind, value, |bytes| Reader::new(bytes).u64("number")).map(|_| ()),
+        Kind::LastWrite => last_write_of(value).map(|_| ()),
         Kind::Name => name_of(key).and_then(|_| content(key, kind, value, number)).map(|_| ()),
         Kind::Map => content(key, kind, value, MapRecord::decode).map(|_| ()),
         Kind::Sensor => read_sensor(key, value).map(|_| ()),

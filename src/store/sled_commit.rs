@@ -12,6 +12,7 @@ use super::sled_catalogue::Entry;
 use super::sled_store::SledStore;
 use super::sled_writes::Change;
 use super::{BlockStamp, Commit, StoreError, StoredMap};
+use sled::IVec;
 
 /// The changes of a commit as they come together.
 struct Changes<'a> {
@@ -22,6 +23,12 @@ struct Changes<'a> {
     revision: u64,
     counts: Counts,
     changes: Vec<Change>,
+}
+
+/// A record before and after a commit.
+struct Replaced {
+    before: Option<IVec>,
+    after: Option<Vec<u8>>,
 }
 
 impl SledStore {
@@ -44,9 +51,13 @@ impl SledStore {
             encode_block(&codec, commit.changed, view, &mut content)
                 .map_err(|why| StoreError::Refused(why.to_string()))?;
             let kept = keys::kept_block(*id, *address, commit.revision);
-            let before = changes.replace(keys::block(*id, *address), Kind::Block, Some(&content), kept)?;
-            changes.counts.blocks += u64::from(!before);
-            noted.push(Noted { address: *address, known: Known::of(view, stamp), before });
+            let before = changes.replace(keys::block(*id, *address), Kind::Block, Some(&content), kept)?.before;
+            if let Some(before) = &before {
+                changes.counts.block_digest.toggle_block(*address, record::revision_of(before));
+            }
+            changes.counts.block_digest.toggle_block(*address, commit.revision);
+            changes.counts.blocks += u64::from(before.is_none());
+            noted.push(Noted { address: *address, known: Known::of(view, stamp), before: before.is_some() });
         }
         for (key, content) in self.records.groups_after(*id, &noted, &codec)? {
             changes.changes.push(self.put(key, commit.revision, &content)?);
@@ -57,9 +68,11 @@ impl SledStore {
             let content = window.highest().is_some().then_some(content.as_slice());
             let key = keys::named(Kind::Window, *id, robot.as_str());
             let kept = keys::kept_window(*id, robot.as_str(), commit.revision);
-            let before = changes.replace(key, Kind::Window, content, kept)?;
-            changes.counts.windows += u64::from(content.is_some());
-            changes.counts.windows = changes.counts.windows.saturating_sub(u64::from(before));
+            let Replaced { before, after } = changes.replace(key, Kind::Window, content, kept)?;
+            before.iter().for_each(|value| changes.counts.window_digest.toggle_record(value));
+            after.iter().for_each(|value| changes.counts.window_digest.toggle_record(value));
+            changes.counts.windows += u64::from(after.is_some());
+            changes.counts.windows = changes.counts.windows.saturating_sub(u64::from(before.is_some()));
         }
         let Changes { counts, mut changes, .. } = changes;
         changes.push(self.put(keys::of_map(Kind::State, *id), commit.revision, &counts.encode())?);
@@ -68,9 +81,14 @@ impl SledStore {
 }
 
 impl Changes<'_> {
-    /// Writes a record (or removes it) and keeps the one before for the snapshots, where they need it. Tells whether there
-    /// was one.
-    fn replace(&mut self, key: Vec<u8>, kind: Kind, content: Option<&[u8]>, kept: Vec<u8>) -> Result<bool, StoreError> {
+    /// Writes a record (or removes it) and keeps the one before for the snapshots, where they need it.
+    fn replace(
+        &mut self,
+        key: Vec<u8>,
+        kind: Kind,
+        content: Option<&[u8]>,
+        kept: Vec<u8>,
+    ) -> Result<Replaced, StoreError> {
         let change = match content {
             Some(content) => self.store.put(key, self.revision, content)?,
             None => self.store.change(key, None)?,
@@ -95,8 +113,8 @@ impl Changes<'_> {
                 Err(error) => tracing::error!("not kept for a snapshot: {error}"),
             }
         }
-        let before = change.before.is_some();
+        let replaced = Replaced { before: change.before.clone(), after: change.value.clone() };
         self.changes.push(change);
-        Ok(before)
+        Ok(replaced)
     }
 }

@@ -7,7 +7,7 @@ use super::config_record::{Counts, FixedConfig, MapRecord, encode_block, encode_
 use super::groups::{Group, Known, group_of};
 use super::keys::{self, Kind};
 use super::sled_catalogue::Entry;
-use super::sled_store::SledStore;
+use super::sled_store::{SledStore, note_sensors};
 use super::sled_writes::Change;
 use super::{BlockStamp, LoadedMap, MapId, MapName, StoreError, StoredMap, lock};
 use crate::mapping::MapConfig;
@@ -58,11 +58,14 @@ impl SledStore {
         let mut counts = Counts { complete_from: revision, ..Counts::default() };
         let mut changes = self.sensor_changes(id, None, &map.config)?;
         counts.sensors = changes.len() as u64;
+        note_sensors(&mut counts, &changes);
         let mut content = Vec::new();
         for (robot, window) in contents.windows.iter().filter(|(_, window)| window.highest().is_some()) {
             content.clear();
             encode_window(window, &mut content);
-            changes.push(self.put(keys::named(Kind::Window, id, robot.as_str()), revision, &content)?);
+            let change = self.put(keys::named(Kind::Window, id, robot.as_str()), revision, &content)?;
+            change.value.iter().for_each(|value| counts.window_digest.toggle_record(value));
+            changes.push(change);
             counts.windows += 1;
             self.write_when_many(&mut changes)?;
         }
@@ -76,6 +79,7 @@ impl SledStore {
                 .map_err(|why| StoreError::Refused(why.to_string()))?;
             changes.push(self.put(keys::block(id, address), revision, &content)?);
             counts.blocks += 1;
+            counts.block_digest.toggle_block(address, revision);
             let number = group_of(address);
             // Blocks come in Z-order, so a group is whole when the next begins.
             if group.as_ref().is_none_or(|(open, _)| *open != number) {

@@ -7,12 +7,15 @@
 
 use super::config_record::Header;
 use super::copies::COPIES;
+use super::digest::Digest;
 use super::durability::{FileSyncer, Syncer};
 use super::kept::{Before, KEPT};
 use super::keys::{self, Kind};
 use super::mark::{MARK, Mark};
 use super::migrate::{STORE_FORMAT, migrate};
+use super::sled_catalogue::{last_write_of, states_of};
 use super::sled_generations::{CURRENT, DATABASE, Generation, find};
+use super::sled_writes::last_write as record_of_write;
 use super::{StoreError, record};
 use std::fs::{self, File, TryLockError};
 use std::ops::Deref;
@@ -102,6 +105,8 @@ pub(super) struct Opened {
     pub(super) mark: Mark,
     /// The number of the last write.
     pub(super) last_write: u64,
+    /// The digest of the states of all maps.
+    pub(super) states: Digest,
     pub(super) lock: File,
 }
 
@@ -122,32 +127,38 @@ pub(super) fn open_directory(directory: &Path, options: SledOptions) -> Result<O
     }
     let before = Before::keep(directory, &path);
     match open_existing(directory, &path, fresh, options) {
-        Ok((db, syncer, mark, last_write)) => {
+        Ok(Whole { db, syncer, mark, last_write, states }) => {
             before.opened();
-            Ok(Opened { db, generation, syncer, mark, last_write, lock })
+            Ok(Opened { db, generation, syncer, mark, last_write, states, lock })
         }
         Err(error) => Err(before.refused(error)),
     }
 }
 
+/// A database that is whole.
+struct Whole {
+    db: Database,
+    syncer: Box<dyn Syncer>,
+    mark: Mark,
+    last_write: u64,
+    states: Digest,
+}
+
 /// Opens the database, and holds that it is whole: it has a header, and all that was acknowledged.
-fn open_existing(
-    directory: &Path,
-    path: &Path,
-    fresh: bool,
-    options: SledOptions,
-) -> Result<(Database, Box<dyn Syncer>, Mark, u64), StoreError> {
+fn open_existing(directory: &Path, path: &Path, fresh: bool, options: SledOptions) -> Result<Whole, StoreError> {
     remove_unfinished_snapshots(path)?;
     let db = open_database(path, options)?;
     // Opening may have written: the log's tail is cleared, a snapshot file renamed.
     sync_database(path)?;
     check_header(directory, path, &db)?;
-    let last_write = last_write(&db)?;
-    let mark = check_mark(directory, last_write, fresh)?;
+    let (last_write, told) = last_write(&db)?;
+    let (mark, noted) = check_mark(directory, last_write, fresh)?;
+    let states = check_states(directory, &db, told, noted)?;
+    mark.sync().map_err(|source| io(&directory.join(MARK), "noting the last write in", source))?;
     sync_directory(directory)?;
     let data = path.join("db");
     let syncer = File::open(&data).map_err(|source| io(&data, "opening", source))?;
-    Ok((db, Box::new(FileSyncer(syncer)), mark, last_write))
+    Ok(Whole { db, syncer: Box::new(FileSyncer(syncer)), mark, last_write, states })
 }
 
 pub(super) fn io(path: &Path, doing: &str, source: std::io::Error) -> StoreError {
@@ -254,7 +265,7 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
         };
         write(&keys::HEADER, &header.encode())?;
         write(&keys::NEXT_MAP, &1_u32.to_be_bytes())?;
-        write(&keys::LAST_WRITE, &0_u64.to_be_bytes())?;
+        guarded("writing the store's header", || db.insert(keys::LAST_WRITE, record_of_write(0, Digest::default())))?;
         guarded("flushing the new store", || db.flush())?;
         sync_database(&creating)?;
     }
@@ -353,17 +364,37 @@ fn check_header(directory: &Path, path: &Path, db: &Database) -> Result<(), Stor
     })
 }
 
-/// The number of the last write in the database.
-fn last_write(db: &Database) -> Result<u64, StoreError> {
+/// The number of the last write in the database, and the digest of the maps' states with it.
+fn last_write(db: &Database) -> Result<(u64, Option<Digest>), StoreError> {
     let key = keys::LAST_WRITE;
     let value = guarded("reading the number of the last write", || db.get(key))?
         .ok_or_else(|| record::damaged(&key, "missing"))?;
-    let content = record::open(&key, Kind::LastWrite, &value)?.content;
-    content.try_into().map(u64::from_be_bytes).map_err(|_| record::damaged(&key, "wrong length"))
+    last_write_of(&value)
+}
+
+/// Refuses a database in which the state of a map is one of earlier: sled can lose what a part of its log had, in the
+/// middle too. A store whose number of the last acknowledged write was removed is taken as it is.
+fn check_states(directory: &Path, db: &Database, told: Option<Digest>, noted: bool) -> Result<Digest, StoreError> {
+    let found = states_of(db)?;
+    match (told, found) {
+        (Some(told), Some(found)) if told != found && noted => Err(StoreError::Damaged {
+            what: format!(
+                "{}: the revision of a map is not the one that the number of the last write goes with: a part of the log is \
+                 lost, and a map has gone back to an earlier revision. Keep a copy of the directory and restore a backup; to \
+                 go on with what is left, remove the file {MARK:?}",
+                directory.display()
+            ),
+        }),
+        (_, Some(found)) => Ok(found),
+        // The states that are damaged are told of by themselves; what is left goes with the number from now on.
+        (told, None) => Ok(told.unwrap_or_default()),
+    }
 }
 
 /// Refuses a database that has lost writes that were acknowledged.
-fn check_mark(directory: &Path, last_write: u64, fresh: bool) -> Result<Mark, StoreError> {
+///
+/// Tells whether there was a number to hold it against.
+fn check_mark(directory: &Path, last_write: u64, fresh: bool) -> Result<(Mark, bool), StoreError> {
     let failed = |source| io(&directory.join(MARK), "noting the last write in", source);
     let (mut mark, noted) = Mark::open(directory).map_err(failed)?;
     match noted {
@@ -383,6 +414,6 @@ fn check_mark(directory: &Path, last_write: u64, fresh: bool) -> Result<Mark, St
         ),
         _ => {}
     }
-    mark.note(last_write).and_then(|()| mark.sync()).map_err(failed)?;
-    Ok(mark)
+    mark.note(last_write).map_err(failed)?;
+    Ok((mark, noted.is_some()))
 }

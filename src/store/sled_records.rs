@@ -3,6 +3,7 @@
 use super::block_codec::BlockCodec;
 use super::checks::holds;
 use super::config_record::decode_block;
+use super::digest::Digest;
 use super::groups::Known;
 use super::keys::{self, Kind};
 use super::record::{self, damaged};
@@ -112,7 +113,9 @@ impl Records {
     ) -> Result<BTreeMap<RobotName, SequenceWindow>, StoreError> {
         let (stored, counts) = (&entry.stored, &entry.counts);
         let mut windows = BTreeMap::new();
+        let mut digest = Digest::default();
         self.scan(&keys::of_map(Kind::Window, stored.id), &mut |key, value| {
+            digest.toggle_record(value);
             let (robot, read) = read_window(key, value, stored.revision)?;
             windows.insert(robot, read.window);
             Ok(())
@@ -124,6 +127,10 @@ impl Records {
                 let why = format!("{found} {what} found of {expected}");
                 return Err(damaged(&keys::of_map(Kind::State, stored.id), &why));
             }
+        }
+        if digest != counts.window_digest {
+            let why = format!("some of its sequence windows are older than its revision, {}", stored.revision);
+            return Err(damaged(&keys::of_map(Kind::State, stored.id), &why));
         }
         Ok(windows)
     }

@@ -3,14 +3,13 @@
 //! What is durable: sled's `flush` hands the log to the operating system, and the data file is synced after it; only
 //! then is a call answered. After a failed write nothing is written any more, and reads show what was durable before.
 
-use super::block_codec::BlockCodec;
 use super::checks::check_commit;
 use super::config_record::{Counts, FixedConfig, MapRecord, encode_sensor};
 use super::copies;
 use super::durability::Syncer;
 use super::keys::{self, Kind};
 use super::record;
-use super::sled_catalogue::{Catalogue, Entry, Verification, check_record, next_map};
+use super::sled_catalogue::{Catalogue, Entry, next_map};
 use super::sled_generations::{bytes_in, is_in, remove_others};
 use super::sled_open::{SledOptions, guarded, io, open_directory};
 use super::sled_records::{Blocks, Records};
@@ -115,7 +114,7 @@ impl SledStore {
         let db = Arc::new(opened.db);
         let records = Arc::new(Records::new(Arc::clone(&db), opened.lock));
         let sink = Sink { db, syncer: wrap(opened.syncer), data, mark: opened.mark };
-        let writes = Arc::new(Writes::start(Arc::clone(&records), sink, opened.last_write)?);
+        let writes = Arc::new(Writes::start(Arc::clone(&records), sink, opened.last_write, opened.states)?);
         let rewriter = Rewriter::new(directory, options, Box::new(wrap), generation, Arc::clone(&writes));
         let rewriter = Arc::new(rewriter);
         let upkeep = Upkeep::start(Arc::clone(&rewriter), options.rewrite.check)
@@ -149,63 +148,6 @@ impl SledStore {
     pub fn about_records(&self) -> u64 {
         let of_map = |counts: &Counts| counts.blocks + counts.windows + counts.sensors + 3;
         lock(&self.catalogue).maps.values().map(|entry| of_map(&entry.counts)).sum()
-    }
-
-    /// Checks every record of the store.
-    ///
-    /// # Errors
-    /// When the records cannot be read at all; what is wrong with single ones is in the answer.
-    pub fn verify(&self) -> Result<Verification, StoreError> {
-        self.verify_with(&mut |_| ())
-    }
-
-    /// As [`SledStore::verify`]; `told` is given how many records were read so far. Nearly each is read twice.
-    ///
-    /// # Errors
-    /// As [`SledStore::verify`].
-    pub fn verify_with(&self, told: &mut dyn FnMut(u64)) -> Result<Verification, StoreError> {
-        let maps = self.list()?;
-        let codec = |id: Option<MapId>| {
-            let map = maps.iter().find(|map| Some(map.id) == id)?;
-            Some(BlockCodec::new(map.config.grid().depth(), map.config.scale()))
-        };
-        let mut found = Verification { maps: maps.len() as u64, ..Verification::default() };
-        let mut of_map = (None, None);
-        self.records.scan(&[], &mut |key, value| {
-            let id = keys::map_of(key);
-            if of_map.0 != id {
-                of_map = (id, codec(id));
-            }
-            found.records += 1;
-            told(found.records);
-            found.bytes += (key.len() + value.len()) as u64;
-            found.problems.extend(check_record(key, value, of_map.1.as_ref()).err().map(|error| error.to_string()));
-            Ok(())
-        })?;
-        let known = |problems: &[String], what: &str| problems.iter().any(|problem| what.contains(problem.as_str()));
-        let of_maps = self.damaged().into_iter().map(|damaged| damaged.what);
-        let mut read = found.records;
-        let of_contents = maps.iter().filter_map(|map| {
-            let error = self.load(map.id).err().map(|error| error.to_string());
-            read += self.entry(map.id).map_or(0, |entry| entry.counts.blocks);
-            told(read);
-            error
-        });
-        let of_snapshots = maps.iter().flat_map(|map| self.snapshot_problems(map.id));
-        for what in of_maps.chain(of_contents).chain(of_snapshots) {
-            if !known(&found.problems, &what) {
-                found.problems.push(what);
-            }
-        }
-        Ok(found)
-    }
-
-    fn snapshot_problems(&self, id: MapId) -> Vec<String> {
-        let checked = self.busy(id).and_then(|busy| {
-            let _held = lock(&busy);
-            self.check_snapshots(&self.entry(id)?)
-        });
-        checked.unwrap_or_else(|error| vec![error.to_string()])
     }
 
     /// Bytes of the store's files.
@@ -324,6 +266,14 @@ impl SledStore {
     }
 }
 
+/// Takes changes of sensors into a map's state.
+pub(super) fn note_sensors(counts: &mut Counts, changes: &[Change]) {
+    for change in changes {
+        change.before.iter().for_each(|value| counts.sensor_digest.toggle_record(value));
+        change.value.iter().for_each(|value| counts.sensor_digest.toggle_record(value));
+    }
+}
+
 impl MapStore for SledStore {
     fn list(&self) -> Result<Vec<StoredMap>, StoreError> {
         let mut maps: Vec<StoredMap> = lock(&self.catalogue).maps.values().map(|entry| entry.stored.clone()).collect();
@@ -338,8 +288,9 @@ impl MapStore for SledStore {
         let id = MapId(*next);
         let after = next.checked_add(1).ok_or_else(|| StoreError::Refused("no map numbers are left".to_owned()))?;
         let record = MapRecord { name: name.clone(), created, fixed: FixedConfig::of(config) };
-        let counts = Counts { sensors: config.sensors().len() as u64, ..Counts::default() };
+        let mut counts = Counts { sensors: config.sensors().len() as u64, ..Counts::default() };
         let mut changes = self.sensor_changes(id, None, config)?;
+        note_sensors(&mut counts, &changes);
         changes.push(self.put(keys::NEXT_MAP.to_vec(), 0, &after.to_be_bytes())?);
         changes.push(self.put(keys::name(name.as_str()), 0, &id.0.to_be_bytes())?);
         changes.push(self.put(keys::of_map(Kind::Map, id), 0, &record.encode())?);
@@ -358,8 +309,9 @@ impl MapStore for SledStore {
         if FixedConfig::of(config) != FixedConfig::of(&entry.stored.config) {
             return Err(StoreError::Refused("only the sensors of a map can change".to_owned()));
         }
-        let counts = Counts { sensors: config.sensors().len() as u64, ..entry.counts };
+        let mut counts = Counts { sensors: config.sensors().len() as u64, ..entry.counts };
         let mut changes = self.sensor_changes(id, Some(&entry.stored.config), config)?;
+        note_sensors(&mut counts, &changes);
         changes.push(self.put(keys::of_map(Kind::State, id), entry.stored.revision, &counts.encode())?);
         self.write(changes)?;
         if let Some(entry) = lock(&self.catalogue).maps.get_mut(&id) {
@@ -406,6 +358,7 @@ impl MapStore for SledStore {
         let grid = entry.stored.config.grid();
         let mut tree = OccupancyTree::new(grid.depth(), entry.stored.config.scale());
         let blocks = self.records.read_blocks(&entry, &mut |tag, view| tree.set_block(tag.address, view))?;
+        entry.check_blocks(&blocks)?;
         let windows = self.records.read_windows(&entry, blocks.len() as u64)?;
         self.records.check_groups(&entry, &blocks)?;
         Ok(LoadedMap { revision: entry.stored.revision, tree, windows })

@@ -1,7 +1,8 @@
 //! Writing to the store: batches with ascending numbers, made durable by one thread, noted while the database is copied.
 
+use super::digest::Digest;
 use super::durability::{Durability, Syncer, Ticket};
-use super::keys;
+use super::keys::{self, Kind};
 use super::mark::Mark;
 use super::nudge::Nudge;
 use super::record;
@@ -45,6 +46,8 @@ impl Sink {
 pub(super) struct Last {
     /// The number of the last write: numbers are in the order of the log.
     number: u64,
+    /// The digest of the states of all maps.
+    states: Digest,
     /// While the database is copied: the keys that were written since they were last taken.
     noted: Option<BTreeSet<Vec<u8>>>,
     /// By how many bytes keys and values have grown since the store was opened.
@@ -56,6 +59,12 @@ impl Last {
     pub(super) fn take_noted(&mut self) -> BTreeSet<Vec<u8>> {
         self.noted.as_mut().map(std::mem::take).unwrap_or_default()
     }
+}
+
+/// The record of the last write.
+pub(super) fn last_write(number: u64, states: Digest) -> Vec<u8> {
+    let content = [number.to_be_bytes(), states.0.to_be_bytes()].concat();
+    record::seal(&keys::LAST_WRITE, 0, &content)
 }
 
 /// Everything that writes to the database passes here.
@@ -71,7 +80,12 @@ pub(super) struct Writes {
 
 impl Writes {
     /// Starts the thread that makes writes durable; all up to `last_write` are.
-    pub(super) fn start(records: Arc<Records>, sink: Sink, last_write: u64) -> Result<Self, StoreError> {
+    pub(super) fn start(
+        records: Arc<Records>,
+        sink: Sink,
+        last_write: u64,
+        states: Digest,
+    ) -> Result<Self, StoreError> {
         let sink = Arc::new(Mutex::new(sink));
         let of_thread = Arc::clone(&sink);
         let make_durable = move |last_write| lock(&of_thread).make_durable(last_write);
@@ -82,7 +96,7 @@ impl Writes {
         let beside = Nudge::start(nudge.clone())?;
         let durability = Durability::start(last_write, make_durable, nudge)
             .map_err(|source| StoreError::Io { what: "starting the sync thread".to_owned(), source })?;
-        let last = Last { number: last_write, noted: None, grown: 0 };
+        let last = Last { number: last_write, states, noted: None, grown: 0 };
         Ok(Self { durability, _nudge: beside, sink, last: Mutex::new(last), records })
     }
 
@@ -107,8 +121,12 @@ impl Writes {
         self.writable()?;
         let mut batch = sled::Batch::default();
         let mut before = Vec::with_capacity(changes.len());
-        let mut grown = 0;
+        let (mut grown, mut states) = (0, Digest::default());
         for change in changes {
+            if change.key.first() == Some(&(Kind::State as u8)) {
+                change.before.iter().for_each(|value| states.toggle_record(value));
+                change.value.iter().for_each(|value| states.toggle_record(value));
+            }
             let bytes = |length: Option<usize>| length.map_or(0, |length| (change.key.len() + length) as i64);
             grown +=
                 bytes(change.value.as_ref().map(Vec::len)) - bytes(change.before.as_ref().map(|value| value.len()));
@@ -119,7 +137,7 @@ impl Writes {
             before.push((change.key, change.before));
         }
         let keys = before.iter().map(|(key, _)| key);
-        let applied = self.apply(batch, keys, grown).map_err(|error| error.to_string());
+        let applied = self.apply(batch, keys, grown, states).map_err(|error| error.to_string());
         applied.and_then(|ticket| self.durability.wait(ticket)).map_err(|reason| {
             let mut undone = lock(&self.records.undone);
             for (key, value) in before {
@@ -135,11 +153,13 @@ impl Writes {
         mut batch: sled::Batch,
         keys: impl Iterator<Item = &'a Vec<u8>>,
         grown: i64,
+        states: Digest,
     ) -> Result<Ticket, StoreError> {
         let mut last = lock(&self.last);
         last.number += 1;
         last.grown += grown;
-        batch.insert(&keys::LAST_WRITE, record::seal(&keys::LAST_WRITE, 0, &last.number.to_be_bytes()));
+        last.states.0 ^= states.0;
+        batch.insert(&keys::LAST_WRITE, last_write(last.number, last.states));
         if let Some(noted) = &mut last.noted {
             noted.extend(keys.cloned());
             noted.insert(keys::LAST_WRITE.to_vec());

@@ -60,7 +60,7 @@ def main():
     service, maps, scans = module("service_pb2_grpc"), module("map_pb2"), module("scan_pb2")
     queries, snapshots, transfer = module("query_pb2"), module("snapshot_pb2"), module("transfer_pb2")
     recorded = [recording for recording, _ in zip(flaser(log), range(SCANS))]
-    with Server(binary, store="memory") as server, grpc.insecure_channel(server.address, OPTIONS) as channel:
+    with Server(binary) as server, grpc.insecure_channel(server.address, OPTIONS) as channel:
         stub = service.MapServiceStub(channel)
         stub.CreateMap(maps.CreateMapRequest(map="intel", config=maps.MapConfig(depth=12, min_obstacle_width=0.05)))
 

@@ -3,13 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::cli_support::{Server, room_json, run};
-use super::service_support::SLED_KEEPS;
 use std::path::Path;
 use ubbmap::store::read_map_file;
 
 fn serve(folder: &Path) -> Server {
-    let flags: &[&str] = if SLED_KEEPS { &[] } else { &["--store", "memory"] };
-    Server::start_with(&folder.join("data"), "127.0.0.1:0", flags)
+    Server::start_with(&folder.join("data"), "127.0.0.1:0", &[])
 }
 
 #[test]

@@ -64,7 +64,9 @@ fn imports_that_make_no_sense_leave_nothing() {
     let cut = pieces("copy", &file[..file.len() - 1]);
     assert!(refusal(cut, Code::InvalidArgument, "INVALID_FILE").1.contains("it is cut"));
     assert_eq!(refusal(pieces("hall", &file), Code::AlreadyExists, "MAP_EXISTS").0, "map");
-    // A client that goes away behind the last piece but one, and one behind the last without saying so.
+    // A client that goes away in the middle, and one behind the last piece without saying that it was the last: their
+    // ends of the streams stay open, for a stream that ends is a whole file.
+    let mut open = Vec::new();
     for count in [1, pieces("copy", &file).len()] {
         let (sender, receiver) = tokio::sync::mpsc::channel(8);
         let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
@@ -75,8 +77,7 @@ fn imports_that_make_no_sense_leave_nothing() {
         }
         std::thread::sleep(Duration::from_millis(200));
         call.abort();
-        // Gone before its sender is: else the stream would end in good order.
-        assert!(site.run(call).unwrap_err().is_cancelled());
+        open.push(sender);
     }
     std::thread::sleep(Duration::from_millis(200));
     assert_eq!(site.get("/v1/maps").json()["maps"].as_array().unwrap().len(), 1);

@@ -352,9 +352,6 @@ pub fn ring(robot: &str, sequence: Option<u64>, place: f64) -> ScanInput {
     }
 }
 
-/// Whether the store on disk keeps snapshots and takes maps with contents.
-pub const SLED_KEEPS: bool = false;
-
 /// A store that keeps snapshots, in memory or on disk; the directory lives as long as it is held.
 pub struct Keeping {
     pub what: &'static str,
@@ -365,13 +362,9 @@ pub struct Keeping {
 impl Keeping {
     pub fn all() -> Vec<Self> {
         let memory = Self { what: "memory", store: Arc::new(MemoryStore::new()), directory: None };
-        let mut all = vec![memory];
-        if SLED_KEEPS {
-            let directory = tempfile::tempdir().unwrap();
-            let store = Arc::new(SledStore::open(directory.path(), SledOptions::default()).unwrap());
-            all.push(Self { what: "sled", store, directory: Some(directory) });
-        }
-        all
+        let directory = tempfile::tempdir().unwrap();
+        let store = Arc::new(SledStore::open(directory.path(), SledOptions::default()).unwrap());
+        vec![memory, Self { what: "sled", store, directory: Some(directory) }]
     }
 
     pub fn service(&self, settings: ServiceSettings) -> MapService {

@@ -317,3 +317,53 @@ fn an_opening_that_was_cut_off_while_sled_wrote_a_snapshot_kept_the_store_shut()
         assert!(!unfinished.exists());
     }
 }
+
+/// sled goes on behind a damaged message in its log with the next segment; what the pages had been before is then sound in itself.
+#[test]
+fn records_of_an_earlier_time_in_the_middle_of_the_log_were_served() {
+    let directory = tempfile::tempdir().unwrap();
+    let (a, mut model) = fill(&open(directory.path()).unwrap(), "a", config(10, 10, 2), 1, 8);
+    let records = || -> std::collections::BTreeMap<Vec<u8>, Vec<u8>> {
+        let own = |key: &[u8]| key[0] >= 0x13 && key[1..5] == a.0.to_be_bytes();
+        let all = |db: &sled::Db| db.iter().map(Result::unwrap).collect::<Vec<_>>();
+        let all = raw(directory.path(), all).into_iter().map(|(key, value)| (key.to_vec(), value.to_vec()));
+        all.filter(|(key, _)| own(key)).collect()
+    };
+    let earlier = records();
+    let store = open(directory.path()).unwrap();
+    for _ in 0..6 {
+        store.commit(a, &model.step(6)).unwrap();
+    }
+    drop(store);
+    let later = records();
+    let replaced: Vec<_> = earlier.iter().filter(|(key, value)| later[*key] != **value).collect();
+    let put = |records: &[(&Vec<u8>, &Vec<u8>)]| {
+        raw(directory.path(), |db| {
+            for (key, value) in records {
+                db.insert(key.as_slice(), value.as_slice()).unwrap();
+            }
+        });
+    };
+    let mut kinds = std::collections::BTreeSet::new();
+    let check = |what: &[u8], set: &[(&Vec<u8>, &Vec<u8>)]| {
+        put(set);
+        let found = complaints(directory.path());
+        assert!(found.contains("map 1") || found.contains("gone back"), "{what:?}: {found:?}");
+        put(&later.iter().collect::<Vec<_>>());
+        assert_eq!(complaints(directory.path()), "");
+    };
+    for (key, value) in &replaced {
+        kinds.insert(key[0]);
+        check(key, &[(*key, *value)]);
+    }
+    assert_eq!(kinds.into_iter().collect::<Vec<_>>(), [0x13, 0x20, 0x30, 0x31]);
+    // All blocks with their groups, all windows, and the whole map.
+    let of = |kinds: &[u8]| replaced.iter().filter(|(key, _)| kinds.contains(&key[0])).copied().collect::<Vec<_>>();
+    for set in [&[0x30, 0x31][..], &[0x20], &[0x20, 0x30, 0x31], &[0x13, 0x20, 0x30, 0x31]] {
+        check(set, &of(set));
+    }
+    // What the operator may do: go on with what is left.
+    put(&of(&[0x13, 0x20, 0x30, 0x31]));
+    let error = open(directory.path()).unwrap_err().to_string();
+    assert!(error.contains("gone back to an earlier revision") && error.contains("acknowledged"), "{error}");
+}
