@@ -174,7 +174,8 @@ pub fn compare(store: &dyn MapStore, id: MapId, expected: &LoadedMap) -> Result<
     same(&LoadedMap { revision: open.revision, tree, windows: open.windows }, expected)
 }
 
-fn same(found: &LoadedMap, expected: &LoadedMap) -> Result<(), String> {
+/// Says how a map that was read differs from what it should be.
+pub fn same(found: &LoadedMap, expected: &LoadedMap) -> Result<(), String> {
     let (revision, sought) = (found.revision, expected.revision);
     if revision != sought {
         return Err(format!("revision {revision} instead of {sought}"));

@@ -4,13 +4,13 @@
 //! `UBBMAP_POWER_CUTS` says how many instants are tried (50). The first half of the instants of a series is in the
 //! process that made the directory, the second in one that went on with a directory that had been cut.
 
-use crate::crash_support::{Bulk, Course, compare, copy_directory, find, named, say, scratch, setting};
+use crate::crash_support::{Bulk, Course, compare, copy_directory, find, named, same, say, scratch, setting};
 use crate::power_cut_child::{LIVES, Task, courses_of, send};
 use crate::power_cut_disk::Recording;
 use crate::power_cut_trace::{obstacle, watched};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -39,6 +39,8 @@ enum Promise {
 struct Promises {
     opened: bool,
     maps: BTreeMap<String, Promise>,
+    /// Map and revision.
+    snapshots: BTreeSet<(String, u64)>,
 }
 
 impl Promises {
@@ -49,6 +51,7 @@ impl Promises {
             "open" => self.opened = true,
             "created" => drop(self.maps.entry(name).or_insert(Promise::There(0))),
             "applied" => drop(self.maps.insert(name, Promise::There(words[2].parse().unwrap()))),
+            "kept" => drop(self.snapshots.insert((name, words[2].parse().unwrap()))),
             "deleting" => {
                 let Some(Promise::There(revision)) = self.maps.get(&name).copied() else { panic!("{line}") };
                 self.maps.insert(name, Promise::Going(revision));
@@ -79,6 +82,7 @@ impl Expected {
 #[derive(Debug, Default)]
 struct Found {
     revisions: BTreeMap<String, u64>,
+    snapshots: BTreeSet<(String, u64)>,
     refused: bool,
 }
 
@@ -109,7 +113,19 @@ fn check(data: &Path, promises: &Promises, expected: &Expected) -> Result<Found,
         let sought =
             expected.at(&name, revision).ok_or_else(|| format!("{name} has an unknown revision {revision}"))?;
         compare(&store, map.id, &sought).map_err(|why| format!("{name}: {why}"))?;
+        for snapshot in store.snapshots(map.id).unwrap() {
+            let kept = store.load_snapshot(map.id, &snapshot.name).map_err(|why| format!("{name}: {why}"))?;
+            let sought = expected.at(&name, snapshot.revision).ok_or_else(|| format!("{name}: {snapshot:?}"))?;
+            same(&kept, &sought).map_err(|why| format!("{name}, snapshot {}: {why}", snapshot.name))?;
+            if snapshot.name.as_str() != format!("r{}", kept.revision) {
+                return Err(format!("{name}: {snapshot:?} is of another revision"));
+            }
+            found.snapshots.insert((name.clone(), snapshot.revision));
+        }
         found.revisions.insert(name, revision);
+    }
+    if let Some((name, revision)) = promises.snapshots.difference(&found.snapshots).next() {
+        return Err(format!("the snapshot of {name} at {revision} is gone"));
     }
     let lost = promises
         .maps
@@ -228,7 +244,7 @@ fn series(seed: u64, mut cuts: u64, outcome: &mut Outcome) {
             copy_directory(&directory.path().join("data"), &root.path().join("data"));
             // What was found after the cut was shown to clients, so it must stay.
             let kept = found.revisions.into_iter().map(|(name, revision)| (name, Promise::There(revision)));
-            promises = Promises { opened: true, maps: kept.collect() };
+            promises = Promises { opened: true, maps: kept.collect(), snapshots: found.snapshots };
         }
         let before = tempfile::tempdir().unwrap();
         copy_directory(root.path(), before.path());

@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::task::JoinSet;
-use ubbmap::service::{MapService, ScanInput, ServiceSettings};
-use ubbmap::store::{MapName, MapStore, SledOptions, SledStore, StoreError, Syncer};
+use ubbmap::service::{ErrorKind, MapService, ScanInput, ServiceSettings};
+use ubbmap::store::{MapName, MapStore, SledOptions, SledStore, SnapshotName, StoreError, Syncer};
 
 /// Robots, each with a map of its own.
 pub const ROBOTS: usize = 4;
@@ -21,6 +21,9 @@ const QUOTA: (u64, u64) = (50, 8);
 
 /// Maps made beside, half of which are deleted, in one life.
 const EXTRA: u64 = 8;
+
+/// After so many requests of a robot its map is kept as a snapshot.
+pub const SNAPSHOT_EVERY: u64 = 6;
 
 /// Lives of the process on one directory.
 pub const LIVES: u64 = 2;
@@ -138,6 +141,13 @@ async fn drive(service: &MapService, name: &MapName, course: &Course, count: u64
     for revision in first..(first + count).min(course.last()) {
         send(service, name, &course.requests[revision as usize], revision + 1).await;
         acks.tell(&format!("applied {name} {}", revision + 1));
+        if (revision + 1).is_multiple_of(SNAPSHOT_EVERY) {
+            let snapshot = format!("r{}", revision + 1);
+            let taken = service.take_snapshot(name, &SnapshotName::new(&snapshot).unwrap()).await;
+            // One whose answer was cut off before is there.
+            assert!(taken.map_or_else(|e| e.kind == ErrorKind::SnapshotExists, |taken| taken.revision == revision + 1));
+            acks.tell(&format!("kept {name} {}", revision + 1));
+        }
     }
 }
 
