@@ -24,6 +24,7 @@ mod http_restart;
 mod http_scans;
 mod http_support;
 mod http_system;
+mod http_viewer;
 mod kill;
 mod logs;
 mod logs_real;

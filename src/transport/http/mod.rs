@@ -18,6 +18,7 @@ mod respond;
 mod scans;
 mod serve;
 mod system;
+mod viewer;
 
 use super::door::Door;
 use crate::service::MapService;
@@ -64,7 +65,8 @@ type App = Arc<Shared>;
 pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
     let shared = Arc::new(Shared { service, settings, door, outside });
     Router::new()
-        .route("/", get(system::index))
+        .route("/", get(viewer::index))
+        .route("/viewer/{*path}", get(viewer::asset))
         .route("/healthz", get(system::healthz))
         .route("/readyz", get(system::readyz))
         .route("/metrics", get(system::metrics))
