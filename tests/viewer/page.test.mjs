@@ -176,13 +176,28 @@ test('on a phone the panels are folded, nothing is wider than the page, and a di
   await page.touchscreen.tap(...(await site.pixel(2.6, 2.7)));
   await page.waitForTimeout(400);
   await page.touchscreen.tap(...(await site.pixel(2.9, 2.7)));
-  await page.locator('#fold').tap();
+  // The answer stands over the map; a tap on it shows the rest.
+  const verdict = page.locator('#verdict');
+  await verdict.waitFor();
+  await picture(site, 'phone-map');
+  const line = await verdict.textContent();
+  await verdict.tap();
+  assert.equal(await verdict.isVisible(), false);
+  assert.equal(await page.locator('#side').isVisible(), true);
   const disc = {
     center: { x: Number(await page.locator('#shape [name=x]').inputValue()), y: Number(await page.locator('#shape [name=y]').inputValue()) },
     radius: Number(await page.locator('#shape [name=radius]').inputValue()),
   };
   const { free } = await server.free('room', { disc });
-  await site.says('answer', new RegExp(free ? '^Guaranteed free' : '^Not free'));
+  const word = free ? 'Guaranteed free' : 'Not free';
+  await site.says('answer', new RegExp(`^${word}`));
+  assert.ok(line.startsWith(`${word}: `), line);
+  // Without a cursor a tap reads what is there.
+  await page.locator('#fold').tap();
+  const leaf = await server.leaf('room', 5.4, 2.7);
+  await page.touchscreen.tap(...(await site.pixel(5.4, 2.7)));
+  await site.says('node', new RegExp(`^node ${leaf.depth}/${leaf.x}/${leaf.y} `));
+  await page.locator('#fold').tap();
   await picture(site, 'phone');
   await site.close();
 });

@@ -116,7 +116,7 @@ export class Check {
     this.free = null;
     this.witness.setGeometry(undefined);
     this.show();
-    for (const id of ['shape', 'clear', 'answer']) get(id).hidden = true;
+    for (const id of ['shape', 'clear', 'answer', 'verdict']) get(id).hidden = true;
   }
 
   /** The map or the tolerance changed. */
@@ -209,7 +209,12 @@ export class Check {
     const old = answer.textContent;
     const parts = [make('strong', {}, head), ...lines.map((line) => make('p', {}, line))];
     if (old !== parts.map((part) => part.textContent).join('')) answer.replaceChildren(...parts);
-    answer.dataset.state = state;
-    answer.hidden = false;
+    // Where the panels are folded away the answer stands over the map, in one line.
+    const verdict = get('verdict');
+    verdict.textContent = [head, lines[0]].join(': ');
+    for (const element of [answer, verdict]) {
+      element.dataset.state = state;
+      element.hidden = false;
+    }
   }
 }

@@ -123,6 +123,7 @@ function showOutlines(side = rootSide): void {
 
 function fold(folded: boolean): void {
   side.hidden = folded;
+  document.body.classList.toggle('folded', folded);
   get('fold').setAttribute('aria-expanded', String(!folded));
   session?.resized();
 }
@@ -142,6 +143,7 @@ get('tools').addEventListener('click', (event) => {
 });
 get('clear').addEventListener('click', () => session?.check.clear());
 get('fold').addEventListener('click', () => fold(!side.hidden));
+get('verdict').addEventListener('click', () => fold(false));
 get('theme').addEventListener('click', () => themes.next());
 get('help-open').addEventListener('click', () => help.showModal());
 
