@@ -6,8 +6,8 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
-/// tests find recorded logs.
-const OTHER_VARIABLES: [&str; 4] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN"];
+/// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
+const OTHER_VARIABLES: [&str; 5] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_VIEWER"];
 
 /// What variables of the environment begin with.
 const PREFIX: &str = "UBBMAP_";

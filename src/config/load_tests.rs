@@ -192,3 +192,8 @@ fn the_variable_of_the_recorded_logs_named_the_store_too() {
     let config = load("", &[("UBBMAP_DATA", "logs"), ("UBBMAP_DATA_DIR", "maps")], &[]).unwrap();
     assert_eq!(config.data_dir, Path::new("maps"));
 }
+
+#[test]
+fn the_switch_of_the_build_is_no_setting() {
+    assert_eq!(load("", &[("UBBMAP_VIEWER", "off")], &[]).unwrap(), Config::default());
+}

@@ -28,6 +28,7 @@ mod http_snapshots;
 mod http_support;
 mod http_system;
 mod http_transfer;
+mod http_viewer;
 mod kill;
 mod logs;
 mod logs_real;

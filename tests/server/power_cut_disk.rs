@@ -416,7 +416,10 @@ impl Reading<'_> {
         let (from, from_at) = self.open[&call.number(0)];
         let to = self.open.get(&call.number(2)).copied().filter(|_| known);
         let (to, at) = to.unwrap_or_else(|| panic!("the replay does not know {call:?}"));
-        let bytes = self.live[&from][from_at..from_at + done].to_vec();
+        let mut bytes: Vec<u8> = self.live[&from].iter().skip(from_at).take(done).copied().collect();
+        // sled changes the length of its file by several threads at the same time: the shortest may be the last one
+        // recorded, and what is beyond it is zeros.
+        bytes.resize(done, 0);
         self.open.insert(call.number(0), (from, from_at + done));
         self.open.insert(call.number(2), (to, at + done));
         self.note(call, to, Change::Data { at, bytes });

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::problem::Problem;
-use super::{HttpError, accept, observe};
+use super::{HttpError, accept, observe, viewer};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::status::status;
 use crate::wire::Encoding;
@@ -94,4 +94,15 @@ fn the_form_is_the_one_the_client_likes_best() {
     assert_eq!(choose(&["text/html"]), None);
     assert_eq!(choose(&["nonsense"]), None);
     assert_eq!(choose(&["application/json;q=0"]), None);
+}
+
+#[tokio::test]
+async fn a_server_without_the_viewer_says_so_and_where_the_interface_is() {
+    let response = viewer::page(None, &HeaderMap::new());
+    assert_eq!(response.status(), 200);
+    assert_eq!(response.headers()[header::CONTENT_TYPE], "text/html; charset=utf-8");
+    assert!(response.headers().contains_key(header::CONTENT_SECURITY_POLICY));
+    let body = response.into_body().collect().await.unwrap().to_bytes();
+    let html = std::str::from_utf8(&body).unwrap();
+    assert!(html.contains("not in this build") && html.contains("href=\"/v1/maps\""), "{html}");
 }

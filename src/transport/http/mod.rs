@@ -20,6 +20,7 @@ mod serve;
 mod snapshots;
 mod system;
 mod transfer;
+mod viewer;
 
 use super::door::Door;
 use crate::service::MapService;
@@ -68,7 +69,8 @@ type App = Arc<Shared>;
 pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
     let shared = Arc::new(Shared { service, settings, door, outside });
     Router::new()
-        .route("/", get(system::index))
+        .route("/", get(viewer::index))
+        .route("/viewer/{*path}", get(viewer::asset))
         .route("/healthz", get(system::healthz))
         .route("/readyz", get(system::readyz))
         .route("/metrics", get(system::metrics))

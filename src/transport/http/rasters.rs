@@ -9,7 +9,7 @@ use crate::transport::parameters::parse;
 use crate::wire::{self, Encoding};
 use axum::body::Bytes;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -78,7 +78,7 @@ pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> R
     let tag = entity_tag(&raster, form);
     let caching = [(header::ETAG, tag.clone()), (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"))];
     let place = place(&raster);
-    if matches(request.headers(), &tag) {
+    if respond::matches(request.headers(), &tag) {
         return Ok((StatusCode::NOT_MODIFIED, caching, place).into_response());
     }
     let size = raster.classes.len();
@@ -128,15 +128,4 @@ fn entity_tag(raster: &Raster, form: Form) -> HeaderValue {
     }
     let tag = format!("\"{:016x}\"", hasher.finish());
     HeaderValue::try_from(tag).unwrap_or(HeaderValue::from_static("\"\""))
-}
-
-/// Does `If-None-Match` hold the tag? Compared weakly (RFC 9110, 13.1.2).
-pub fn matches(headers: &HeaderMap, tag: &HeaderValue) -> bool {
-    headers
-        .get_all(header::IF_NONE_MATCH)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .map(|value| value.trim())
-        .any(|value| value == "*" || value.trim_start_matches("W/").as_bytes() == tag.as_bytes())
 }

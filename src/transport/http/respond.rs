@@ -5,7 +5,7 @@ use super::{HttpError, accept};
 use crate::service::ErrorKind;
 use crate::wire::Encoding;
 use axum::body::Bytes;
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use prost::Message;
 use serde::Serialize;
@@ -39,4 +39,15 @@ pub fn bytes_of(media: &'static str, bytes: Bytes) -> Response {
     let headers =
         [(header::CONTENT_TYPE, HeaderValue::from_static(media)), (header::VARY, HeaderValue::from_static("accept"))];
     (StatusCode::OK, headers, bytes).into_response()
+}
+
+/// Does `If-None-Match` hold the tag? Compared weakly (RFC 9110, 13.1.2).
+pub fn matches(headers: &HeaderMap, tag: &HeaderValue) -> bool {
+    headers
+        .get_all(header::IF_NONE_MATCH)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .map(|value| value.trim())
+        .any(|value| value == "*" || value.trim_start_matches("W/").as_bytes() == tag.as_bytes())
 }

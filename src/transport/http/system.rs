@@ -1,10 +1,9 @@
 //! Health, metrics, the index, and paths that are not there.
 
-use super::params::no_params;
 use super::{App, HttpError, respond};
 use crate::service::{ErrorKind, ServiceError};
 use axum::body::Bytes;
-use axum::extract::{Request, State};
+use axum::extract::State;
 use axum::http::{Method, Uri};
 use axum::response::Response;
 use serde_json::json;
@@ -36,11 +35,10 @@ const ROUTES: [&str; 23] = [
     "PUT /v1/maps/{map}/import",
 ];
 
-/// `GET /`
-pub async fn index(request: Request) -> Result<Response, HttpError> {
-    no_params(request.uri())?;
+/// `GET /` for programs.
+pub fn index() -> Response {
     let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": ROUTES });
-    Ok(respond::bytes_of(super::accept::JSON, Bytes::from(index.to_string())))
+    respond::bytes_of(super::accept::JSON, Bytes::from(index.to_string()))
 }
 
 /// `GET /healthz`: the process answers.

@@ -3,7 +3,7 @@
 use super::body;
 use super::params::{no_params, params};
 use super::path::MapPath;
-use super::rasters::matches;
+use super::respond::matches;
 use super::{App, HttpError, accept, respond};
 use crate::service::{ExportedFile, ServiceError};
 use crate::transport::{files, operations};
