@@ -88,13 +88,20 @@ pub(super) fn say_json(value: &impl serde::Serialize) -> Result<(), Failure> {
     say(&serde_json::to_string(value)?)
 }
 
-/// Writes a file beside its place and moves it there, so that a file of this name is always whole; returns its size.
+/// Writes a file beside its place and moves it there, so that a file of this name is always whole; returns its size. A link
+/// is followed; what is there and no file, a pipe or a device, is refused: it would be replaced.
 pub(super) fn write_whole(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
 ) -> anyhow::Result<u64> {
-    let mut name = path.file_name().context("it has no file name")?.to_owned();
-    name.push(".partial");
+    if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+        anyhow::bail!("it is there and is no regular file");
+    }
+    let followed = std::fs::canonicalize(path);
+    let path = followed.as_deref().unwrap_or(path);
+    let mut name = std::ffi::OsString::from(".");
+    name.push(path.file_name().context("it has no file name")?);
+    name.push(format!(".{}.partial", std::process::id()));
     let partial = path.with_file_name(name);
     let mut file = BufWriter::new(File::create(&partial)?);
     let written = write(&mut file)

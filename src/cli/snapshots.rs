@@ -11,7 +11,7 @@ pub(super) struct OneSnapshot {
     /// The map's name
     #[arg(value_parser = map_name)]
     map: MapName,
-    /// The snapshot's name: letters, digits, _, - and .
+    /// The snapshot's name: letters, digits, `_`, `-` and dots
     #[arg(value_parser = snapshot_name)]
     name: SnapshotName,
     #[command(flatten)]

@@ -229,7 +229,12 @@ impl SledStore {
             left.extend(keys::map_of(key));
             Ok(())
         })?;
-        left.into_iter().try_for_each(|id| self.purge(id))?;
+        for id in left {
+            // What cannot be read or removed now keeps its tombstone: it is no reason not to serve the others.
+            if let Err(error) = self.purge(id) {
+                tracing::warn!(map = id.0, "records of a deleted map are left: {error}");
+            }
+        }
         let mut marked = Vec::new();
         self.records.scan(&[Kind::Sweep as u8], &mut |key, _| {
             marked.extend(keys::map_of(key));

@@ -10,7 +10,7 @@ impl SledStore {
     /// Checks every record of the store.
     ///
     /// # Errors
-    /// When the records cannot be read at all; what is wrong with single ones is in the answer.
+    /// When the list of maps cannot be read; what is wrong with single records and maps is in the answer.
     pub fn verify(&self) -> Result<Verification, StoreError> {
         self.verify_with(&mut |_| ())
     }
@@ -27,7 +27,7 @@ impl SledStore {
         };
         let mut found = Verification { maps: maps.len() as u64, ..Verification::default() };
         let mut of_map = (None, None);
-        self.records.scan(&[], &mut |key, value| {
+        let scanned = self.records.scan(&[], &mut |key, value| {
             let id = keys::map_of(key);
             if of_map.0 != id {
                 of_map = (id, codec(id));
@@ -37,12 +37,14 @@ impl SledStore {
             found.bytes += (key.len() + value.len()) as u64;
             found.problems.extend(check_record(key, value, of_map.1.as_ref()).err().map(|error| error.to_string()));
             Ok(())
-        })?;
+        });
+        // Behind a page that sled cannot read the maps are looked at one by one.
+        found.problems.extend(scanned.err().map(|error| error.to_string()));
         let known = |problems: &[String], what: &str| problems.iter().any(|problem| what.contains(problem.as_str()));
         let of_maps = self.damaged().into_iter().map(|damaged| damaged.what);
         let mut read = found.records;
         let of_contents = maps.iter().filter_map(|map| {
-            let error = self.load(map.id).err().map(|error| error.to_string());
+            let error = self.load(map.id).err().map(|error| format!("map {:?}: {error}", map.name.as_str()));
             read += self.entry(map.id).map_or(0, |entry| entry.counts.blocks);
             told(read);
             error

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::cli_support::{Server, room_json, run};
+use super::http_support::{agent, send};
 use std::path::Path;
 use ubbmap::store::read_map_file;
 
@@ -67,6 +68,51 @@ fn maps_are_kept_restored_and_carried_to_another_server() {
     server.run(&["map", "delete-snapshot", "room", "first"]).ok();
     server.run(&["map", "delete-snapshot", "room", "first"]).fails(1, "no snapshot 'first'");
     assert_eq!((server.terminate(), other.terminate()), (0, 0));
+}
+
+#[test]
+fn scans_that_a_restore_took_back_between_others_counted_as_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("short.jsonl"), room_json(40)).unwrap();
+    std::fs::write(path("long.jsonl"), room_json(90)).unwrap();
+    let server = serve(folder.path());
+    let replay = |log: &str| {
+        server.run(&["replay", &path(log), "--map", "room", "--json", "--robot-prefix", "r", "--depth", "10"]).ok()
+    };
+    replay("short.jsonl");
+    server.run(&["map", "snapshot", "room", "first"]).ok();
+    replay("long.jsonl");
+    server.run(&["map", "restore", "room", "first"]).ok();
+    // One that was on its way.
+    let late = r#"{"robot": "r-1of1", "sequence": 60, "angle_min": 0, "angle_increment": 0.1, "ranges": [1.0],
+        "pose": {"x": {"min": 0, "max": 0}, "y": {"min": 0, "max": 0}, "theta": {"min": 0, "max": 0}}}"#;
+    let url = format!("{}/v1/maps/room/scans", server.url);
+    assert_eq!(send(&agent(), "POST", &url, &[], late.as_bytes()).json()["applied"], 1);
+    let again = replay("long.jsonl");
+    assert_eq!((&again.json()["applied"], &again.json()["duplicates"]), (&49.into(), &41.into()));
+    let robot = &server.show("room")["robots"][0];
+    assert_eq!((&robot["highest_sequence"], &robot["applied"]), (&"90".into(), &"90".into()));
+    assert_eq!(server.terminate(), 0);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_link_is_followed_and_what_is_no_file_was_replaced_by_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("room.jsonl"), room_json(5)).unwrap();
+    let build = |out: &str| run(["build", &path("room.jsonl"), "--out", &path(out)]);
+    std::os::unix::fs::symlink("target.ubbmap", path("link.ubbmap")).unwrap();
+    std::fs::write(path("target.ubbmap"), "what was there").unwrap();
+    build("link.ubbmap").ok();
+    assert!(std::fs::symlink_metadata(path("link.ubbmap")).unwrap().is_symlink());
+    read_map_file(&mut std::fs::read(path("target.ubbmap")).unwrap().as_slice()).unwrap();
+    let made = std::process::Command::new("mkfifo").arg(path("pipe")).status().unwrap();
+    assert!(made.success());
+    build("pipe").fails(1, "no regular file");
+    let still = std::os::unix::fs::FileTypeExt::is_fifo(&std::fs::metadata(path("pipe")).unwrap().file_type());
+    assert!(still);
 }
 
 #[test]

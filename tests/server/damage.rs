@@ -190,10 +190,33 @@ fn look(directory: &Path, sound: &Sound) -> Result<Came, String> {
             check_on_demand(&store, *id, loaded).map_err(|why| format!("map {name}: {why}"))?;
         }
     }
+    if came == Came::Named {
+        drop(store);
+        without_the_damaged(directory, sound)?;
+        return Ok(came);
+    }
     if listed.len() + damaged.len() > sound.maps.len() {
         return Err(format!("maps that never were: {listed:?}, {damaged:?}"));
     }
     Ok(came)
+}
+
+/// Deletes what is damaged, as an operator would: what cannot be removed must not keep the rest from being served.
+fn without_the_damaged(directory: &Path, sound: &Sound) -> Result<(), String> {
+    let whole = |store: &SledStore, kept: &&Kept| compare(store, kept.id, &kept.loaded).is_ok();
+    let store = SledStore::open(directory, SledOptions::default()).map_err(|e| format!("opened once only: {e}"))?;
+    let (served, lost): (Vec<&Kept>, Vec<&Kept>) = sound.maps.iter().partition(|kept| whole(&store, kept));
+    for Kept { id, .. } in lost {
+        // A write that meets the damage is refused, and all that follow.
+        let _ = store.delete(*id);
+    }
+    drop(store);
+    let store = SledStore::open(directory, SledOptions::default());
+    let store = store.map_err(|error| format!("after the damaged maps were deleted: {error}"))?;
+    match served.iter().find(|kept| !whole(&store, kept)) {
+        Some(kept) => Err(format!("map {} went with the damaged ones", kept.name)),
+        None => Ok(()),
+    }
 }
 
 /// A map of which not everything can be read: each of its blocks is right, or refused by itself.

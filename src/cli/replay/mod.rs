@@ -13,7 +13,7 @@ use super::options::{MapOptions, SENSOR, SensorOptions, given, map_config};
 use super::output::{Failure, Progress, note, say, say_json};
 use crate::logs::{LogReader, LogScan};
 use crate::sensor::Angles;
-use crate::store::{MapName, RobotName};
+use crate::store::{MapName, RobotName, WINDOW_LENGTH};
 use crate::wire::v1;
 use clap::{ArgMatches, Args};
 use sender::{Numbered, Tally, Team};
@@ -79,7 +79,7 @@ pub(in crate::cli) struct Replay {
 /// What the map has before the replay.
 struct Known {
     revision: u64,
-    /// The highest sequence number of each robot.
+    /// The sequence number of each robot behind which its scans are sent.
     robots: BTreeMap<String, u64>,
 }
 
@@ -119,6 +119,7 @@ impl Replay {
         tally.revision = tally.revision.max(known.revision);
         let failure = tally.failure.take();
         self.report(&tally, started.elapsed())?;
+        self.tell_what_is_missing(&team.client, &names);
         if let Some(error) = failure {
             let total = tally.skipped + tally.sent;
             let error = team.client.explain(&self.map, error);
@@ -189,8 +190,30 @@ impl Replay {
                 (map.revision, map.robots)
             }
         };
-        let robots = robots.into_iter().filter_map(|robot| Some((robot.robot, robot.highest_sequence?))).collect();
-        Ok(Known { revision, robots })
+        let robots = robots.into_iter().filter_map(|robot| {
+            let highest = robot.highest_sequence?;
+            // Numbers begin with 1. Some are missing where a snapshot was restored while others were on their way: all that
+            // can be told apart are sent again, and count as duplicates where they are there.
+            let whole = robot.applied >= highest;
+            Some((robot.robot, if whole { highest } else { highest.saturating_sub(WINDOW_LENGTH - 1) }))
+        });
+        Ok(Known { revision, robots: robots.collect() })
+    }
+
+    /// Says which robots' scans are not all in the map, though later ones are.
+    fn tell_what_is_missing(&self, client: &Client, names: &[RobotName]) {
+        // The scans are acknowledged; a server that is gone by now is no failure.
+        let Ok(map) = client.map(&self.map) else { return };
+        for robot in map.robots.iter().filter(|robot| names.iter().any(|name| name.as_str() == robot.robot)) {
+            let missing = robot.highest_sequence.unwrap_or_default().saturating_sub(robot.applied);
+            if missing > 0 {
+                note(&format!(
+                    "{missing} scans of {} are not in the map, though later ones are: was a snapshot restored meanwhile? The \
+                     same command sends those again that are not too old",
+                    robot.robot
+                ));
+            }
+        }
     }
 
     /// How many scans of each robot the map has.
