@@ -284,5 +284,42 @@ fn no_damage_to_the_files_panics_starts_empty_or_serves_a_wrong_class() {
     let line = format!("damage: {count} from seed {seed}: {came:?}");
     say(&line);
     assert!(wrong.is_empty(), "{line}; {} wrong: {wrong:#?}", wrong.len());
-    assert!(came.len() == 3 && came.values().all(|times| *times > count / 100), "{line}");
+    // How often damage is named hangs on how the pages came to lie; single records are in `store_damage.rs`.
+    let often = |came_to: Came| came.get(&came_to).is_some_and(|times| *times > count / 100);
+    assert!(often(Came::Refused) && often(Came::Whole), "{line}");
+}
+
+/// In a database that was just rewritten pages lie close: a flipped bit is in a page that is read.
+#[test]
+fn a_deleted_map_with_a_page_that_cannot_be_read_kept_the_store_from_opening() {
+    let sound = sound(true);
+    let rewritten = scratch();
+    copy_directory(sound.directory.path(), rewritten.path());
+    SledStore::open(rewritten.path(), SledOptions::default()).unwrap().rewrite(&mut |_| Ok(())).unwrap();
+    let bytes = fs::read(rewritten.path().join("sled-2/db")).unwrap();
+    let used: Vec<usize> = (0..bytes.len()).filter(|at| bytes[*at] != 0).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(11);
+    let mut met = 0;
+    for _ in 0..300 {
+        let directory = scratch();
+        copy_directory(rewritten.path(), directory.path());
+        let mut changed = bytes.clone();
+        changed[used[random.random_range(0..used.len())]] ^= 1 << random.random_range(0..8);
+        fs::write(directory.path().join("sled-2/db"), changed).unwrap();
+        let Ok(Ok(store)) =
+            catch_unwind(AssertUnwindSafe(|| SledStore::open(directory.path(), SledOptions::default())))
+        else {
+            continue;
+        };
+        let lost = sound.maps.iter().any(|kept| compare(&store, kept.id, &kept.loaded).is_err());
+        drop(store);
+        if lost {
+            met += 1;
+            without_the_damaged(directory.path(), &sound).unwrap();
+        }
+        if met == 8 {
+            return;
+        }
+    }
+    assert!(met > 0, "no flipped bit left a store that opens with a damaged map");
 }
