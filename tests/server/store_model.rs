@@ -1,6 +1,7 @@
 //! Random operations on both stores against a plain model in memory: what was acknowledged is there after every reboot and
 //! crash, and what failed is there whole or not at all.
 
+use crate::crash_support::copy_directory;
 use crate::store_support::{config, robot};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -295,18 +296,7 @@ fn open(directory: &Path, fails: &Arc<AtomicBool>) -> SledStore {
 /// A copy of the files as they are: what a killed process leaves.
 fn copied(from: &Path) -> TempDir {
     let to = tempfile::tempdir().unwrap();
-    let mut left = vec![from.to_path_buf()];
-    while let Some(folder) = left.pop() {
-        let target = to.path().join(folder.strip_prefix(from).unwrap());
-        std::fs::create_dir_all(&target).unwrap();
-        for entry in std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().path()) {
-            if entry.is_dir() {
-                left.push(entry);
-            } else {
-                std::fs::copy(&entry, target.join(entry.file_name().unwrap())).unwrap();
-            }
-        }
-    }
+    copy_directory(from, to.path());
     to
 }
 

@@ -1,5 +1,6 @@
 //! The database rewritten while it is in use: nothing is lost at any step, whatever fails, and whoever reads or writes.
 
+pub use crate::crash_support::copy_directory;
 use crate::store_support::{Model, assert_same, config, fill, name};
 use std::fs;
 use std::io;
@@ -29,18 +30,6 @@ pub fn entries(directory: &Path) -> Vec<String> {
 /// The databases in a data directory.
 pub fn databases(directory: &Path) -> Vec<String> {
     entries(directory).into_iter().filter(|name| name.starts_with("sled")).collect()
-}
-
-pub fn copy_directory(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
-        let target = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy_directory(&entry.path(), &target);
-        } else {
-            fs::copy(entry.path(), target).unwrap();
-        }
-    }
 }
 
 /// A map that is worth several batches: 900 records, 1.9 MB.
