@@ -1,16 +1,17 @@
 //! Floor 6: the server as a whole: store, service, listener, and an orderly end.
 
 use crate::config::{Config, ConfigError, StoreKind, seconds};
-use crate::reload::{self, Watch};
+use crate::reload::{self, Watch, Watched};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
 use crate::transport::door::{Door, DoorSettings};
 use crate::transport::grpc::{self, GrpcSettings};
 use crate::transport::http::{self, HttpSettings, OutsideView, ServeLimits};
+use crate::transport::tls::{Tls, TlsError};
 use crate::transport::zenoh::{Reachable, ZenohError, ZenohServer};
 use std::net::SocketAddr;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -66,6 +67,8 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     // Before anything is opened, so that a signal during the start is not lost.
     let stop = stop_signal().map_err(AppError::Signal)?;
     config.check()?;
+    // Read again when the server starts; a fault in the files should not wait for a large store.
+    load_tls(&config).await?;
     let store = open_store(&config).await?;
     let open = Arc::downgrade(&store);
     let server = Server::start(&config, store).await?;
@@ -86,6 +89,7 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
+    secure: bool,
     door: Door,
     stop: oneshot::Sender<()>,
     listener: JoinHandle<()>,
@@ -112,6 +116,7 @@ impl Server {
     pub async fn start(config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
         config.check()?;
         let metrics = telemetry::metrics_handle();
+        let (tls, watched) = load_tls(config).await?.unzip();
         let service = MapService::open(store, config.service_settings())?;
         let limits = &config.limits;
         let door = Door::new(DoorSettings {
@@ -135,10 +140,11 @@ impl Server {
             None => None,
         };
         let reached = zenoh.as_ref().map(ZenohServer::reachable).cloned();
-        let counted = service.clone();
+        let (counted, timed) = (service.clone(), tls.clone());
         let outside = OutsideView {
             metrics: Box::new(move || {
                 counted.note_metrics();
+                timed.iter().for_each(Tls::note_metrics);
                 metrics.render()
             }),
             reachable: Box::new(move || reached.as_ref().is_none_or(Reachable::now)),
@@ -156,16 +162,17 @@ impl Server {
             header_timeout: seconds(limits.header_seconds),
             grace: config.grace(),
         };
-        let watch = Watch::start(Vec::new(), reload::LOOK).map_err(AppError::Signal)?;
+        let watch = Watch::start(watched.into_iter().collect(), reload::LOOK).map_err(AppError::Signal)?;
+        let secure = tls.is_some();
         let (stop, stopped) = oneshot::channel();
         let listener = tokio::spawn(async move {
-            http::serve(listener, router, &serve_limits, async {
+            http::serve(listener, router, &serve_limits, tls, async {
                 // A dropped handle stops the server as well.
                 let _ = stopped.await;
             })
             .await;
         });
-        Ok(Self { address, door, stop, listener, zenoh, service: ServiceHandle(service), _watch: watch })
+        Ok(Self { address, secure, door, stop, listener, zenoh, service: ServiceHandle(service), _watch: watch })
     }
 
     /// Where it listens.
@@ -177,7 +184,7 @@ impl Server {
     /// Its address as clients write it, without a slash at the end.
     #[must_use]
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        format!("{}://{}", if self.secure { "https" } else { "http" }, self.address)
     }
 
     /// Its part in a network of Zenoh, where it has one.
@@ -207,6 +214,23 @@ impl Server {
         self.service.0.drain().await;
         ended.map_err(|_| AppError::Listener)
     }
+}
+
+/// Reads the certificates, where the settings name any, and tells how they are read anew.
+async fn load_tls(config: &Config) -> Result<Option<(Tls, Watched)>, AppError> {
+    let Some(settings) = config.tls_settings() else { return Ok(None) };
+    let read = move || {
+        // The watch comes first, so that nothing changes unseen between the two.
+        let slot = Arc::new(OnceLock::<Tls>::new());
+        let used = Arc::clone(&slot);
+        let watched = Watched::new("tls", settings.files(), move || {
+            used.get().map_or(Ok("nothing".to_owned()), |tls| tls.reload().map_err(|error| error.to_string()))
+        });
+        let tls = Tls::load(settings)?;
+        Ok((slot.get_or_init(|| tls).clone(), watched))
+    };
+    let loaded: Result<_, TlsError> = tokio::task::spawn_blocking(read).await.map_err(|_| AppError::Listener)?;
+    Ok(Some(loaded.map_err(ConfigError::from)?))
 }
 
 async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {

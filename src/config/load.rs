@@ -7,7 +7,16 @@ use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
 /// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
-const OTHER_VARIABLES: [&str; 5] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_VIEWER"];
+const OTHER_VARIABLES: [&str; 8] = [
+    "UBBMAP_CA",
+    "UBBMAP_CERT",
+    "UBBMAP_CONFIG",
+    "UBBMAP_DATA",
+    "UBBMAP_KEY",
+    "UBBMAP_SERVER",
+    "UBBMAP_TOKEN",
+    "UBBMAP_VIEWER",
+];
 
 /// What variables of the environment begin with.
 const PREFIX: &str = "UBBMAP_";
@@ -101,6 +110,7 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
+        self.tls.check()?;
         self.zenoh.check(self.insecure)?;
         if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
             return Err(ConfigError::NotLoopback(self.listen));
