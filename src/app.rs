@@ -4,10 +4,12 @@ use crate::config::{Config, ConfigError, StoreKind, seconds};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
+use crate::transport::access::{Access, Guarded, Listener};
 use crate::transport::door::{Door, DoorSettings};
 use crate::transport::grpc::{self, GrpcSettings};
 use crate::transport::http::{self, HttpSettings, OutsideView, ServeLimits};
 use crate::transport::zenoh::{Reachable, ZenohError, ZenohServer};
+use axum::Router;
 use std::net::SocketAddr;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
@@ -68,7 +70,12 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     let store = open_store(&config).await?;
     let open = Arc::downgrade(&store);
     let server = Server::start(&config, store).await?;
+    server.warn_if_insecure();
     tracing::info!(address = %server.address(), "ready");
+    if let Some(address) = server.administration() {
+        tracing::info!(%address, "administration and metrics");
+    }
+    reload_when_told(&server.access, &server.door).map_err(AppError::Signal)?;
     if let Some(zenoh) = server.zenoh() {
         tracing::info!(id = zenoh.id(), listen = zenoh.locators().join(","), "on Zenoh");
     }
@@ -84,12 +91,53 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
 /// A running server.
 #[derive(Debug)]
 pub struct Server {
-    address: SocketAddr,
+    public: Listening,
+    administration: Option<Listening>,
+    access: Access,
     door: Door,
-    stop: oneshot::Sender<()>,
-    listener: JoinHandle<()>,
     zenoh: Option<ZenohServer>,
     service: ServiceHandle,
+}
+
+/// One address that is listened on.
+#[derive(Debug)]
+struct Listening {
+    address: SocketAddr,
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<()>,
+}
+
+impl Listening {
+    /// Listens on an address; nothing is accepted before [`Listening::serve`].
+    async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), AppError> {
+        let failed = |source| AppError::Listen { address, source };
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let bound = listener.local_addr().map_err(failed)?;
+        Ok((listener, bound))
+    }
+
+    fn serve(
+        (listener, address): (TcpListener, SocketAddr),
+        kind: Listener,
+        router: Router,
+        limits: ServeLimits,
+    ) -> Self {
+        let (stop, stopped) = oneshot::channel();
+        let task = tokio::spawn(async move {
+            http::serve(listener, kind, router, &limits, async {
+                // A dropped handle stops the server as well.
+                let _ = stopped.await;
+            })
+            .await;
+        });
+        Self { address, stop, task }
+    }
+
+    async fn shutdown(self) -> Result<(), AppError> {
+        // The listener's task has ended already when this fails.
+        let _ = self.stop.send(());
+        self.task.await.map_err(|_| AppError::Listener)
+    }
 }
 
 /// The service, which has no debug form.
@@ -118,17 +166,15 @@ impl Server {
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
         });
-        let settings = HttpSettings {
-            body_bytes: limits.body_bytes,
-            config_bytes: limits.config_bytes,
-            import_bytes: limits.import_bytes,
-            scans_per_stream: limits.scans_per_stream,
+        let access = config.access()?;
+        let public = Listening::bind(config.listen).await?;
+        let administration = match config.administration()? {
+            Some(address) => Some(Listening::bind(address).await?),
+            None => None,
         };
-        let failed = |source| AppError::Listen { address: config.listen, source };
-        let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
+        let guarded = Guarded::new(service.clone(), access.clone());
         let zenoh = match config.zenoh_settings() {
-            Some(settings) => Some(ZenohServer::start(service.clone(), door.clone(), settings).await?),
+            Some(settings) => Some(ZenohServer::start(service.clone(), guarded.clone(), door.clone(), settings).await?),
             None => None,
         };
         let reached = zenoh.as_ref().map(ZenohServer::reachable).cloned();
@@ -140,40 +186,52 @@ impl Server {
             }),
             reachable: Box::new(move || reached.as_ref().is_none_or(Reachable::now)),
         };
-        let rest = http::router(service.clone(), settings, door.clone(), outside);
-        let settings = GrpcSettings {
-            message_bytes: limits.body_bytes,
-            import_bytes: limits.import_bytes,
-            scans_per_stream: limits.scans_per_stream,
-        };
-        let rpc = grpc::router(service.clone(), settings, door.clone()).map_err(AppError::Reflection)?;
-        let router = rest.merge(rpc);
+        let router = routes(config, guarded, &door, outside)?;
         let serve_limits = ServeLimits {
             connections: limits.connections,
             header_timeout: seconds(limits.header_seconds),
             grace: config.grace(),
         };
-        let (stop, stopped) = oneshot::channel();
-        let listener = tokio::spawn(async move {
-            http::serve(listener, router, &serve_limits, async {
-                // A dropped handle stops the server as well.
-                let _ = stopped.await;
-            })
-            .await;
-        });
-        Ok(Self { address, door, stop, listener, zenoh, service: ServiceHandle(service) })
+        let ended = door.clone();
+        tokio::spawn(access.clone().keep_up(async move { ended.draining().await }));
+        let kind = if administration.is_some() { Listener::Public } else { Listener::Only };
+        let administration = administration
+            .map(|bound| Listening::serve(bound, Listener::Administration, router.clone(), serve_limits.clone()));
+        let public = Listening::serve(public, kind, router, serve_limits);
+        Ok(Self { public, administration, access, door, zenoh, service: ServiceHandle(service) })
     }
 
     /// Where it listens.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.public.address
+    }
+
+    /// Where it listens for administration and metrics, where that is an address of its own.
+    #[must_use]
+    pub fn administration(&self) -> Option<SocketAddr> {
+        self.administration.as_ref().map(|listening| listening.address)
+    }
+
+    /// Who may come in.
+    #[must_use]
+    pub fn access(&self) -> &Access {
+        &self.access
+    }
+
+    fn warn_if_insecure(&self) {
+        if self.access.is_insecure() {
+            tracing::warn!(
+                address = %self.public.address,
+                "--insecure: anyone who reaches this server may read and change every map"
+            );
+        }
     }
 
     /// Its address as clients write it, without a slash at the end.
     #[must_use]
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        format!("http://{}", self.public.address)
     }
 
     /// Its part in a network of Zenoh, where it has one.
@@ -194,15 +252,38 @@ impl Server {
     /// [`AppError::Listener`] when the listener's task failed; the service is drained all the same.
     pub async fn shutdown(self) -> Result<(), AppError> {
         self.door.begin_draining();
-        // The listener's task has ended already when this fails.
-        let _ = self.stop.send(());
-        let ended = self.listener.await;
+        let administration = async {
+            match self.administration {
+                Some(listening) => listening.shutdown().await,
+                None => Ok(()),
+            }
+        };
+        let (public, administration) = tokio::join!(self.public.shutdown(), administration);
         if let Some(zenoh) = self.zenoh {
             zenoh.shutdown().await;
         }
         self.service.0.drain().await;
-        ended.map_err(|_| AppError::Listener)
+        public.and(administration)
     }
+}
+
+/// The routes of REST and gRPC.
+fn routes(config: &Config, service: Guarded, door: &Door, outside: OutsideView) -> Result<Router, AppError> {
+    let limits = &config.limits;
+    let settings = HttpSettings {
+        body_bytes: limits.body_bytes,
+        config_bytes: limits.config_bytes,
+        import_bytes: limits.import_bytes,
+        scans_per_stream: limits.scans_per_stream,
+    };
+    let rest = http::router(service.clone(), settings, door.clone(), outside);
+    let settings = GrpcSettings {
+        message_bytes: limits.body_bytes,
+        import_bytes: limits.import_bytes,
+        scans_per_stream: limits.scans_per_stream,
+    };
+    let rpc = grpc::router(service, settings, door.clone()).map_err(AppError::Reflection)?;
+    Ok(rest.merge(rpc))
 }
 
 async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {
@@ -229,6 +310,31 @@ async fn closed(store: &Weak<dyn MapStore>) {
         }
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
+}
+
+/// Reads the file of tokens again at every SIGHUP, until the server ends.
+#[cfg(unix)]
+fn reload_when_told(access: &Access, door: &Door) -> std::io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut told = signal(SignalKind::hangup())?;
+    let (access, door) = (access.clone(), door.clone());
+    tokio::spawn(async move {
+        loop {
+            tokio::select! {
+                () = door.draining() => break,
+                signal = told.recv() => if signal.is_none() { break },
+            }
+            let access = access.clone();
+            // As in `keep_up`: what fails there is told there.
+            let _ = tokio::task::spawn_blocking(move || access.reload()).await;
+        }
+    });
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn reload_when_told(_: &Access, _: &Door) -> std::io::Result<()> {
+    Ok(())
 }
 
 #[cfg(unix)]

@@ -49,6 +49,7 @@ pub fn metrics_handle() -> PrometheusHandle {
                 tracing::warn!("another metrics recorder is installed: /metrics stays empty");
             }
             crate::service::describe_metrics();
+            crate::transport::access::describe_metrics();
             crate::transport::door::describe_metrics();
             crate::transport::grpc::describe_metrics();
             crate::transport::http::describe_metrics();

@@ -7,7 +7,8 @@ use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
 /// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
-const OTHER_VARIABLES: [&str; 5] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_VIEWER"];
+const OTHER_VARIABLES: [&str; 6] =
+    ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_TOKEN_FILE", "UBBMAP_VIEWER"];
 
 /// What variables of the environment begin with.
 const PREFIX: &str = "UBBMAP_";
@@ -102,10 +103,7 @@ impl Config {
             return Err(bad("log", problem));
         }
         self.zenoh.check(self.insecure)?;
-        if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
-            return Err(ConfigError::NotLoopback(self.listen));
-        }
-        Ok(())
+        self.check_access()
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Everything is read and checked before a port is bound. An unknown key is an error that names the nearest known one.
 
+mod access;
 mod error;
 mod load;
 #[cfg(test)]
@@ -17,6 +18,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+pub use access::Access;
 pub use error::ConfigError;
 pub use zenoh::{Zenoh, ZenohMode};
 
@@ -46,6 +48,8 @@ pub enum LogFormat {
 pub struct Config {
     /// Address to listen on.
     pub listen: SocketAddr,
+    /// Address for administration and metrics; empty where `listen` has them too.
+    pub admin_listen: String,
     /// Allow an address beyond loopback without tokens.
     pub insecure: bool,
     /// Directory of the store.
@@ -56,6 +60,8 @@ pub struct Config {
     pub log: String,
     /// Form of the log lines.
     pub log_format: LogFormat,
+    /// Who may come in.
+    pub access: Access,
     /// Limits on what comes from outside.
     pub limits: Limits,
     /// Memory for maps.
@@ -174,11 +180,13 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            admin_listen: String::new(),
             insecure: false,
             data_dir: PathBuf::from("ubbmap-data"),
             store: StoreKind::Sled,
             log: "info".to_owned(),
             log_format: LogFormat::Text,
+            access: Access::default(),
             limits: Limits::default(),
             cache: Cache::default(),
             rewrite: Rewrite::default(),

@@ -1,14 +1,15 @@
 //! Every operation from its request message to its response message: what all transports have in common.
 
-use crate::service::{ErrorKind, ExportedFile, MapService, ServiceError};
+use super::access::OnBehalf;
+use crate::service::{ErrorKind, ExportedFile, ServiceError};
 use crate::wire::{self, Batch, v1};
 
 /// Creates a map.
 ///
 /// # Errors
-/// As [`MapService::create_map`].
+/// As [`OnBehalf::create_map`].
 pub async fn create_map(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CreateMapRequest,
 ) -> Result<v1::CreateMapResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -19,25 +20,25 @@ pub async fn create_map(
 /// One map.
 ///
 /// # Errors
-/// As [`MapService::map`].
-pub async fn get_map(service: &MapService, request: v1::GetMapRequest) -> Result<v1::GetMapResponse, ServiceError> {
+/// As [`OnBehalf::map`].
+pub async fn get_map(service: &OnBehalf, request: v1::GetMapRequest) -> Result<v1::GetMapResponse, ServiceError> {
     Ok(wire::get_map_response(service.map(&wire::map_name(&request.map)?).await?))
 }
 
 /// All maps.
 ///
 /// # Errors
-/// As [`MapService::maps`].
-pub async fn list_maps(service: &MapService) -> Result<v1::ListMapsResponse, ServiceError> {
+/// As [`OnBehalf::maps`].
+pub async fn list_maps(service: &OnBehalf) -> Result<v1::ListMapsResponse, ServiceError> {
     Ok(wire::list_maps_response(service.maps().await?))
 }
 
 /// Deletes a map.
 ///
 /// # Errors
-/// As [`MapService::delete_map`].
+/// As [`OnBehalf::delete_map`].
 pub async fn delete_map(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::DeleteMapRequest,
 ) -> Result<v1::DeleteMapResponse, ServiceError> {
     service.delete_map(&wire::map_name(&request.map)?).await?;
@@ -47,9 +48,9 @@ pub async fn delete_map(
 /// Applies scans.
 ///
 /// # Errors
-/// As [`MapService::insert`].
+/// As [`OnBehalf::insert`].
 pub async fn insert_scans(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::InsertScansRequest,
 ) -> Result<v1::InsertScansResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -62,9 +63,9 @@ pub async fn insert_scans(
 /// Classes at points.
 ///
 /// # Errors
-/// As [`MapService::classes`].
+/// As [`OnBehalf::classes`].
 pub async fn get_classes(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetClassesRequest,
 ) -> Result<v1::GetClassesResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -76,9 +77,9 @@ pub async fn get_classes(
 /// Quadtree leaves of a box.
 ///
 /// # Errors
-/// As [`MapService::region`].
+/// As [`OnBehalf::region`].
 pub async fn get_region(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetRegionRequest,
 ) -> Result<v1::GetRegionResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -88,8 +89,8 @@ pub async fn get_region(
 /// Dense raster of a box.
 ///
 /// # Errors
-/// As [`MapService::grid`].
-pub async fn get_grid(service: &MapService, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
+/// As [`OnBehalf::grid`].
+pub async fn get_grid(service: &OnBehalf, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     Ok(wire::grid_response(service.grid(&name, &wire::grid_query(&request)).await?))
 }
@@ -97,8 +98,8 @@ pub async fn get_grid(service: &MapService, request: v1::GetGridRequest) -> Resu
 /// One tile.
 ///
 /// # Errors
-/// As [`MapService::tile`].
-pub async fn get_tile(service: &MapService, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
+/// As [`OnBehalf::tile`].
+pub async fn get_tile(service: &OnBehalf, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     let v1::GetTileRequest { z, x, y, .. } = request;
     Ok(wire::tile_response(service.tile(&name, z, x, y).await?, (z, x, y)))
@@ -107,9 +108,9 @@ pub async fn get_tile(service: &MapService, request: v1::GetTileRequest) -> Resu
 /// The guaranteed-free query.
 ///
 /// # Errors
-/// As [`MapService::guaranteed_free`].
+/// As [`OnBehalf::guaranteed_free`].
 pub async fn check_guaranteed_free(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CheckGuaranteedFreeRequest,
 ) -> Result<v1::CheckGuaranteedFreeResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -122,9 +123,9 @@ pub async fn check_guaranteed_free(
 /// Blocks changed since a revision.
 ///
 /// # Errors
-/// As [`MapService::changes`].
+/// As [`OnBehalf::changes`].
 pub async fn get_changes(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetChangesRequest,
 ) -> Result<v1::GetChangesResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -135,9 +136,9 @@ pub async fn get_changes(
 /// Keeps a map's last revision under a name.
 ///
 /// # Errors
-/// As [`MapService::take_snapshot`].
+/// As [`OnBehalf::take_snapshot`].
 pub async fn create_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CreateSnapshotRequest,
 ) -> Result<v1::CreateSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -147,9 +148,9 @@ pub async fn create_snapshot(
 /// The snapshots of a map.
 ///
 /// # Errors
-/// As [`MapService::snapshots`].
+/// As [`OnBehalf::snapshots`].
 pub async fn list_snapshots(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::ListSnapshotsRequest,
 ) -> Result<v1::ListSnapshotsResponse, ServiceError> {
     Ok(wire::list_snapshots_response(&service.snapshots(&wire::map_name(&request.map)?).await?))
@@ -158,9 +159,9 @@ pub async fn list_snapshots(
 /// Makes a snapshot's content the map's.
 ///
 /// # Errors
-/// As [`MapService::restore_snapshot`].
+/// As [`OnBehalf::restore_snapshot`].
 pub async fn restore_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::RestoreSnapshotRequest,
 ) -> Result<v1::RestoreSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -170,9 +171,9 @@ pub async fn restore_snapshot(
 /// Removes a snapshot.
 ///
 /// # Errors
-/// As [`MapService::delete_snapshot`].
+/// As [`OnBehalf::delete_snapshot`].
 pub async fn delete_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::DeleteSnapshotRequest,
 ) -> Result<v1::DeleteSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -183,8 +184,8 @@ pub async fn delete_snapshot(
 /// A whole map as a file.
 ///
 /// # Errors
-/// As [`MapService::export`].
-pub async fn export_map(service: &MapService, request: &v1::ExportMapRequest) -> Result<ExportedFile, ServiceError> {
+/// As [`OnBehalf::export`].
+pub async fn export_map(service: &OnBehalf, request: &v1::ExportMapRequest) -> Result<ExportedFile, ServiceError> {
     let map = wire::map_name(&request.map)?;
     let (snapshot, form) = wire::export_form(request)?;
     service.export(&map, snapshot.as_ref(), form).await
@@ -193,8 +194,8 @@ pub async fn export_map(service: &MapService, request: &v1::ExportMapRequest) ->
 /// A new map from a file.
 ///
 /// # Errors
-/// As [`MapService::import`].
-pub async fn import_map<B>(service: &MapService, map: &str, file: B) -> Result<v1::ImportMapResponse, ServiceError>
+/// As [`OnBehalf::import`].
+pub async fn import_map<B>(service: &OnBehalf, map: &str, file: B) -> Result<v1::ImportMapResponse, ServiceError>
 where
     B: AsRef<[u8]> + Send + 'static,
 {

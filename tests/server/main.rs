@@ -2,6 +2,10 @@
 #![cfg(feature = "server")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test may fail loudly")]
 
+mod access_life;
+mod access_routes;
+mod access_support;
+mod cli_access;
 mod cli_build;
 mod cli_experiment;
 mod cli_files;

@@ -345,8 +345,10 @@ fn a_damaged_map_is_the_same_on_all_transports() {
     assert_eq!(same("a damaged map", told).unwrap_err().code, "MAP_DAMAGED");
 }
 
-/// Kinds that only one transport knows, and where their tests are.
-const ELSEWHERE: [ErrorKind; 4] = [
+/// Kinds that not every transport knows, and where their tests are.
+const ELSEWHERE: [ErrorKind; 6] = [
+    ErrorKind::Unauthenticated,      // access_routes
+    ErrorKind::PermissionDenied,     // access_routes
     ErrorKind::UnsupportedMediaType, // http_scans
     ErrorKind::NotAcceptable,        // http_queries
     ErrorKind::MethodNotAllowed,     // http_system
@@ -380,7 +382,9 @@ fn every_kind() -> Vec<ErrorKind> {
         Kind::UnsupportedMediaType => Some(Kind::NotAcceptable),
         Kind::NotAcceptable => Some(Kind::MethodNotAllowed),
         Kind::MethodNotAllowed => Some(Kind::RouteNotFound),
-        Kind::RouteNotFound => Some(Kind::Busy),
+        Kind::RouteNotFound => Some(Kind::Unauthenticated),
+        Kind::Unauthenticated => Some(Kind::PermissionDenied),
+        Kind::PermissionDenied => Some(Kind::Busy),
         Kind::Busy => Some(Kind::ShuttingDown),
         Kind::ShuttingDown => Some(Kind::Timeout),
         Kind::Timeout => Some(Kind::AnotherServer),

@@ -1,6 +1,7 @@
 //! REST: routes, bodies, forms of answers and problems. What an operation means is the service's alone.
 
 mod accept;
+mod access;
 mod body;
 mod changes;
 #[cfg(test)]
@@ -22,8 +23,8 @@ mod system;
 mod transfer;
 mod viewer;
 
+use super::access::Guarded;
 use super::door::Door;
-use crate::service::MapService;
 use axum::Router;
 use axum::routing::{delete, get, post, put};
 use std::sync::Arc;
@@ -57,7 +58,7 @@ pub struct OutsideView {
 
 /// What every handler has.
 struct Shared {
-    service: MapService,
+    service: Guarded,
     settings: HttpSettings,
     door: Door,
     outside: OutsideView,
@@ -66,7 +67,7 @@ struct Shared {
 type App = Arc<Shared>;
 
 /// The routes over a service.
-pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
+pub fn router(service: Guarded, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
     let shared = Arc::new(Shared { service, settings, door, outside });
     Router::new()
         .route("/", get(viewer::index))

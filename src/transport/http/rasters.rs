@@ -3,12 +3,13 @@
 use super::body::apart;
 use super::params::{no_params, params};
 use super::path::{MapPath, TilePath};
-use super::{App, HttpError, accept, pictures, respond};
+use super::{HttpError, accept, pictures, respond};
 use crate::service::{ErrorKind, Raster, ServiceError};
+use crate::transport::access::OnBehalf;
 use crate::transport::parameters::parse;
 use crate::wire::{self, Encoding};
 use axum::body::Bytes;
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -35,7 +36,7 @@ const FORMS: [(&str, Form); 5] = [
 ];
 
 /// `GET /v1/maps/{map}/grid`
-pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
+pub async fn grid(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
     let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format"])?;
     let form = match params.text("format") {
@@ -46,7 +47,7 @@ pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Re
         Some("png") => Form::Png,
         Some(_) => return Err(HttpError::invalid("format", "format must be json, npy, png or protobuf")),
     };
-    let raster = app.service.grid(&map, &params.box_query()?).await?;
+    let raster = caller.grid(&map, &params.box_query()?).await?;
     let place = place(&raster);
     let size = raster.classes.len();
     let response = match form {
@@ -58,7 +59,7 @@ pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Re
 }
 
 /// `GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png`, `.npy`, `.pb`, with an ETag of the tile's contents.
-pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> Result<Response, HttpError> {
+pub async fn tile(caller: OnBehalf, path: TilePath, request: Request) -> Result<Response, HttpError> {
     no_params(request.uri())?;
     let whole = "a whole number";
     let z = parse("z", &path.z, whole)?;
@@ -74,7 +75,7 @@ pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> R
             return Err(HttpError(ServiceError::new(ErrorKind::NotAcceptable, detail).at("y")));
         }
     };
-    let raster = app.service.tile(&path.map, z, x, y).await?;
+    let raster = caller.tile(&path.map, z, x, y).await?;
     let tag = entity_tag(&raster, form);
     let caching = [(header::ETAG, tag.clone()), (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"))];
     let place = place(&raster);

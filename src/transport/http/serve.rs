@@ -1,5 +1,7 @@
 //! The listener: connections are accepted, limited, timed, and let go at the end.
 
+use crate::transport::access::{Listener, Peer};
+use axum::Extension;
 use axum::Router;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
@@ -34,9 +36,15 @@ pub struct ServeLimits {
     pub grace: Duration,
 }
 
-/// Serves until `stop` is done; then accepts no more, ends idle connections, and waits for requests under way for the
+/// Serves until `stop` is done, and tells the routes from whom and by which listener a request came; then accepts no more, ends idle connections, and waits for requests under way for the
 /// time of grace.
-pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, stop: impl Future<Output = ()>) {
+pub async fn serve(
+    listener: TcpListener,
+    kind: Listener,
+    router: Router,
+    limits: &ServeLimits,
+    stop: impl Future<Output = ()>,
+) {
     let mut builder = Builder::new(TokioExecutor::new());
     builder.http1().timer(TokioTimer::new()).header_read_timeout(limits.header_timeout);
     builder
@@ -56,10 +64,10 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
             let permit = Arc::clone(&connections).acquire_owned().await.ok();
             (listener.accept().await, permit)
         };
-        let (stream, permit) = tokio::select! {
+        let (stream, address, permit) = tokio::select! {
             () = &mut stop => break,
             (accepted, permit) = accepted => match accepted {
-                Ok((stream, _)) => (stream, permit),
+                Ok((stream, address)) => (stream, address, permit),
                 Err(error) => {
                     tracing::warn!(%error, "cannot accept a connection");
                     tokio::time::sleep(ACCEPT_PAUSE).await;
@@ -67,7 +75,8 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
                 }
             },
         };
-        let service = TowerToHyperService::new(router.clone());
+        let peer = Peer { address: Some(address), certificate: None, listener: kind };
+        let service = TowerToHyperService::new(tower::Layer::layer(&Extension(peer), router.clone()));
         let (builder, watcher) = (builder.clone(), graceful.watcher());
         tokio::spawn(async move {
             // The version of HTTP is told by the first bytes, for which nothing below would wait in vain.

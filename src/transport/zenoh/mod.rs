@@ -16,6 +16,7 @@ mod settings;
 #[cfg(test)]
 mod zenoh_tests;
 
+use super::access::{Caller, Guarded, OnBehalf, Origin, Peer};
 use super::door::Door;
 use crate::service::{ErrorKind, MapService, ServiceError};
 use ::zenoh::Session;
@@ -70,7 +71,9 @@ pub enum ZenohError {
 
 /// What every query needs.
 struct Context {
-    service: MapService,
+    service: Guarded,
+    /// Whoever Zenoh's own access control lets in.
+    caller: OnBehalf,
     door: Door,
     settings: ZenohSettings,
     rivals: Rivals,
@@ -118,7 +121,12 @@ impl ZenohServer {
     ///
     /// # Errors
     /// [`ZenohError`]
-    pub async fn start(service: MapService, door: Door, settings: ZenohSettings) -> Result<Self, ZenohError> {
+    pub async fn start(
+        service: MapService,
+        guarded: Guarded,
+        door: Door,
+        settings: ZenohSettings,
+    ) -> Result<Self, ZenohError> {
         let failed = |error: ::zenoh::Error| ZenohError::Session(error.to_string());
         let prefix = settings.prefix.clone();
         let session = ::zenoh::open(settings::session(&settings)?).await.map_err(failed)?;
@@ -135,7 +143,8 @@ impl ZenohServer {
             .await
             .map_err(failed)?;
         let (replies, sending) = Replies::start().map_err(|error| ZenohError::Session(error.to_string()))?;
-        let context = Arc::new(Context { service, door, settings, rivals, replies });
+        let caller = guarded.of(Caller::anyone("zenoh"), Origin::new("zenoh", Peer::default(), None));
+        let context = Arc::new(Context { service: guarded, caller, door, settings, rivals, replies });
         let tracker = TaskTracker::new();
         let (inbox, samples) = queues(&context, &tracker);
         let taking = inbox.clone();
@@ -161,7 +170,7 @@ impl ZenohServer {
         let locators: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
         let endpoints = if locators.is_empty() { &context.settings.connect } else { &locators };
         let reachable = probe::start(&context.settings, endpoints, health, context.door.clone()).await?;
-        tokio::spawn(publish::run(session.clone(), context.service.clone(), context.door.clone(), prefix));
+        tokio::spawn(publish::run(session.clone(), service, context.door.clone(), prefix));
         let (queryables, subscribers) = ([queries, asked], [others, scans]);
         Ok(Self { session, id, locators, reachable, token, queryables, subscribers, tracker, sending })
     }
@@ -260,7 +269,7 @@ async fn finish(context: &Context, query: Query, answer: Result<Reply, ServiceEr
 
 /// The answer to a query; `None` where it is not meant for this server.
 async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, ServiceError>> {
-    let Context { service, door, settings, rivals, .. } = context;
+    let Context { caller, door, settings, rivals, .. } = context;
     let key = query.key_expr().as_str();
     if key.ends_with("/health") && key.contains("/@server/") {
         return Some(health(context));
@@ -278,7 +287,7 @@ async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, Servi
             return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
         }
         let asked = Asked { target: target?, parameters: query.parameters().as_str(), payload: &payload };
-        door.timed(queries::answer(service, asked)).await?
+        door.timed(queries::answer(caller, asked)).await?
     };
     Some(answer.await)
 }

@@ -2,8 +2,9 @@
 
 use super::keys::{Operation, Target};
 use super::reply::Reply;
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, ServiceError};
 use crate::store::MapName;
+use crate::transport::access::OnBehalf;
 use crate::transport::operations;
 use crate::transport::parameters::{Parameters, parse};
 use crate::wire::{self, v1};
@@ -30,7 +31,7 @@ pub struct Asked<'a> {
 ///
 /// # Errors
 /// Those of the operations, and [`ErrorKind::InvalidRequest`] where the query is not one of the interface.
-pub async fn answer(service: &MapService, asked: Asked<'_>) -> Result<Reply, ServiceError> {
+pub async fn answer(service: &OnBehalf, asked: Asked<'_>) -> Result<Reply, ServiceError> {
     match asked.target {
         Target::Maps => {
             parameters(asked.parameters, &[])?;
@@ -48,7 +49,7 @@ pub async fn answer(service: &MapService, asked: Asked<'_>) -> Result<Reply, Ser
 }
 
 async fn operate(
-    service: &MapService,
+    service: &OnBehalf,
     map: MapName,
     operation: Operation,
     text: &str,
@@ -66,12 +67,7 @@ async fn operate(
 }
 
 /// Operations without parameters.
-async fn plain(
-    service: &MapService,
-    map: MapName,
-    operation: Operation,
-    payload: &[u8],
-) -> Result<Reply, ServiceError> {
+async fn plain(service: &OnBehalf, map: MapName, operation: Operation, payload: &[u8]) -> Result<Reply, ServiceError> {
     match operation {
         Operation::Create => {
             let request = of_map(&map, payload, |request: &mut v1::CreateMapRequest| &mut request.map)?;
@@ -114,7 +110,7 @@ async fn plain(
     }
 }
 
-async fn region(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn region(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetRegionRequest| &mut request.map)?;
     let given = parameters(text, &BOX)?.box_query()?;
     request.min_x = given.min_x.or(request.min_x);
@@ -125,7 +121,7 @@ async fn region(service: &MapService, map: MapName, text: &str, payload: &[u8]) 
     Ok(Reply::new("GetRegionResponse", &operations::get_region(service, request).await?))
 }
 
-async fn grid(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn grid(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetGridRequest| &mut request.map)?;
     let given = parameters(text, &BOX)?.box_query()?;
     request.min_x = given.min_x.or(request.min_x);
@@ -136,7 +132,7 @@ async fn grid(service: &MapService, map: MapName, text: &str, payload: &[u8]) ->
     Ok(Reply::new("GetGridResponse", &operations::get_grid(service, request).await?))
 }
 
-async fn changes(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn changes(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetChangesRequest| &mut request.map)?;
     let parameters = parameters(text, &CHANGES)?;
     let given = parameters.box_query()?;

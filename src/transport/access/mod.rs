@@ -1,0 +1,284 @@
+//! Who asks, and what they may do: one place for all transports.
+//!
+//! A transport learns what was shown (a token, a client certificate) and gets an [`OnBehalf`] for it: the service as that
+//! caller may use it. It has no other way to the service, so no route can forget to ask. What an operation needs is one
+//! table, [`Operation::needs`].
+
+mod audit;
+mod caller;
+mod guarded;
+mod operation;
+mod refusals;
+mod roll;
+mod token;
+
+use crate::service::ServiceError;
+use arc_swap::ArcSwap;
+use metrics::{counter, describe_counter, describe_gauge, gauge};
+use refusals::Refusals;
+use std::fs::File;
+use std::io::Read;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+pub use caller::{Caller, Grant, MapScope, Role};
+pub use guarded::{Guarded, OnBehalf, Origin};
+pub use operation::{Operation, Reach};
+pub use refusals::{Reason, Refused};
+pub use roll::{Entry, Proof, Roll, RollError, entry_name, expiry};
+pub use token::{PREFIX, Secret, TokenHash, bearer};
+
+const RELOADS: &str = "ubbmap_access_reloads_total";
+const ENTRIES: &str = "ubbmap_access_entries";
+const STALE: &str = "ubbmap_access_stale";
+
+/// How often the file of tokens is looked at.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Tells the recorder what each metric means. Call it once, after the recorder is installed.
+pub fn describe_metrics() {
+    describe_counter!(RELOADS, "Readings of the file of tokens after the first, by outcome: applied or failed");
+    describe_gauge!(ENTRIES, "Entries of the file of tokens that are in force");
+    describe_gauge!(
+        STALE,
+        "1 while the file of tokens cannot be read or is not valid, so that an earlier one is in force"
+    );
+    refusals::describe_metrics();
+}
+
+/// Which of the server's addresses somebody came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Listener {
+    /// The only one: everything is there.
+    #[default]
+    Only,
+    /// The one for everybody, where administration has one of its own.
+    Public,
+    /// The one for administration and metrics.
+    Administration,
+}
+
+/// Where a request comes from, as its connection knows it.
+#[derive(Debug, Clone, Default)]
+pub struct Peer {
+    /// The other end.
+    pub address: Option<SocketAddr>,
+    /// The name in the certificate that the other end has proven to hold.
+    pub certificate: Option<Arc<str>>,
+    /// Where it came in.
+    pub listener: Listener,
+}
+
+/// What was shown with a request.
+#[derive(Clone, Copy, Default)]
+pub enum Shown<'a> {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// A token.
+    Token(&'a str),
+    /// Something that is no token.
+    Other,
+}
+
+impl<'a> Shown<'a> {
+    /// What the values of the header `authorization` show.
+    pub fn in_headers(mut values: impl Iterator<Item = &'a [u8]>) -> Self {
+        match (values.next(), values.next()) {
+            (None, _) => Self::Nothing,
+            (Some(value), None) => bearer(value).map_or(Self::Other, Self::Token),
+            (Some(_), Some(_)) => Self::Other,
+        }
+    }
+}
+
+impl std::fmt::Debug for Shown<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Nothing => "Nothing",
+            Self::Token(_) => "Token(..)",
+            Self::Other => "Other",
+        })
+    }
+}
+
+/// Who may come in. Cheap to clone.
+#[derive(Debug, Clone)]
+pub struct Access(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    mode: Mode,
+    refusals: Refusals,
+}
+
+#[derive(Debug)]
+enum Mode {
+    /// Whoever comes may do everything.
+    Open { caller: Caller, insecure: bool },
+    /// Those of a file.
+    File(FromFile),
+}
+
+#[derive(Debug)]
+struct FromFile {
+    path: PathBuf,
+    roll: ArcSwap<Roll>,
+    /// What was read last, or why nothing was; held while a new one is taken over.
+    last: Mutex<Result<String, String>>,
+}
+
+impl Access {
+    /// Everybody may do everything. `insecure`: although strangers reach the server.
+    #[must_use]
+    pub fn open(insecure: bool) -> Self {
+        let caller = Caller::anyone(if insecure { "anyone" } else { "local" });
+        Self::of(Mode::Open { caller, insecure })
+    }
+
+    /// Those of a file.
+    ///
+    /// # Errors
+    /// [`RollError`]
+    pub fn from_file(path: &Path) -> Result<Self, RollError> {
+        let text = read(path).map_err(|source| RollError::File { path: path.to_owned(), source })?;
+        let roll = Roll::parse(&text).map_err(|problem| RollError::Content { path: path.to_owned(), problem })?;
+        let (roll, last) = (ArcSwap::from_pointee(roll), Mutex::new(Ok(text)));
+        Ok(Self::of(Mode::File(FromFile { path: path.to_owned(), roll, last })))
+    }
+
+    fn of(mode: Mode) -> Self {
+        let entries = match &mode {
+            Mode::Open { .. } => 0,
+            Mode::File(file) => file.roll.load().entries().len(),
+        };
+        gauge!(ENTRIES).set(entries as f64);
+        gauge!(STALE).set(0.0);
+        // From the start, so that a rate sees the first one.
+        ["applied", "failed"].into_iter().for_each(|outcome| counter!(RELOADS, "outcome" => outcome).increment(0));
+        refusals::show_metrics();
+        Self(Arc::new(Inner { mode, refusals: Refusals::default() }))
+    }
+
+    /// True where strangers reach the server and nothing is asked of them.
+    #[must_use]
+    pub fn is_insecure(&self) -> bool {
+        matches!(self.0.mode, Mode::Open { insecure: true, .. })
+    }
+
+    /// Who that is.
+    ///
+    /// # Errors
+    /// [`crate::service::ErrorKind::Unauthenticated`]
+    pub fn identify(&self, shown: Shown<'_>, peer: &Peer) -> Result<Caller, ServiceError> {
+        let caller = match &self.0.mode {
+            Mode::Open { caller, .. } => Ok(caller.clone()),
+            Mode::File(file) => file.identify(shown, peer),
+        };
+        let caller = caller.map_err(|refused| self.note(refused, peer))?;
+        Ok(if peer.listener == Listener::Public { caller.without_administration() } else { caller })
+    }
+
+    /// Counts a refusal, logs it now and then, and makes it the client's error.
+    pub fn note(&self, refused: Refused, peer: &Peer) -> ServiceError {
+        self.0.refusals.note(refused, peer)
+    }
+
+    /// Reads the file again, if there is one. One that cannot be read or is not valid changes nothing: what was in force
+    /// stays so, and the log and the metrics say it.
+    pub fn reload(&self) {
+        if let Mode::File(file) = &self.0.mode {
+            file.reload();
+        }
+    }
+
+    /// Reads the file again whenever it has changed, until `ended` is done.
+    pub async fn keep_up(self, ended: impl Future<Output = ()>) {
+        if matches!(self.0.mode, Mode::Open { .. }) {
+            return;
+        }
+        tokio::pin!(ended);
+        loop {
+            tokio::select! {
+                () = &mut ended => break,
+                () = tokio::time::sleep(LOOK) => {}
+            }
+            let access = self.clone();
+            // Reading may wait for a disk. A panic there is told by the runtime, and the next look comes all the same.
+            let _ = tokio::task::spawn_blocking(move || access.reload()).await;
+        }
+    }
+}
+
+impl FromFile {
+    fn identify(&self, shown: Shown<'_>, peer: &Peer) -> Result<Caller, Refused> {
+        let roll = self.roll.load();
+        let found = match (shown, &peer.certificate) {
+            (Shown::Token(token), _) => roll.by_token(token).ok_or_else(|| {
+                Refused::unknown(Reason::Unknown, "the token is not known to this server").at("authorization")
+            }),
+            (Shown::Other, _) => Err(Refused::unknown(
+                Reason::Malformed,
+                format!("the header authorization must be one line \"Bearer {PREFIX}...\""),
+            )
+            .at("authorization")),
+            (Shown::Nothing, Some(name)) => roll.by_certificate(name).ok_or_else(|| {
+                let name: String = name.chars().take(80).collect();
+                Refused::unknown(
+                    Reason::Unknown,
+                    format!("the certificate's name {name:?} is not known to this server"),
+                )
+            }),
+            (Shown::Nothing, None) => Err(Refused::unknown(
+                Reason::Missing,
+                "this server asks for a token: send the header \"Authorization: Bearer TOKEN\" (ubbmap --token, UBBMAP_TOKEN)",
+            )),
+        };
+        let caller = found?;
+        caller.live().map_err(|refused| refused.at("authorization"))?;
+        Ok(caller.clone())
+    }
+
+    fn reload(&self) {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let text = read(&self.path).map_err(|error| error.to_string());
+        if text == *last {
+            return;
+        }
+        let parsed = text.as_ref().map_err(Clone::clone).and_then(|text| Roll::parse(text));
+        match parsed {
+            Ok(mut roll) => {
+                let entries = roll.entries().len();
+                roll.succeed(&self.roll.load());
+                self.roll.store(Arc::new(roll));
+                gauge!(ENTRIES).set(entries as f64);
+                gauge!(STALE).set(0.0);
+                counter!(RELOADS, "outcome" => "applied").increment(1);
+                tracing::info!(target: "ubbmap::access", file = %self.path.display(), entries, "the file of tokens was read again");
+            }
+            Err(problem) => {
+                gauge!(STALE).set(1.0);
+                counter!(RELOADS, "outcome" => "failed").increment(1);
+                tracing::error!(
+                    target: "ubbmap::access",
+                    file = %self.path.display(),
+                    problem,
+                    "the file of tokens is not taken: what it said before stays in force"
+                );
+            }
+        }
+        *last = text;
+    }
+}
+
+/// The text of a file, if it is not too large.
+fn read(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    File::open(path)?.take(roll::MOST_BYTES + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > roll::MOST_BYTES {
+        return Err(std::io::Error::other(format!("it is larger than {} bytes", roll::MOST_BYTES)));
+    }
+    Ok(text)
+}
