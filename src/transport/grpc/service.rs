@@ -144,6 +144,10 @@ impl map_service_server::MapService for MapRpc {
         watch.and_then(|begun| begun).map(messages).map(Response::new).map_err(|error| to_status(&error))
     }
 
+    async fn list_robots(&self, request: Request<v1::ListRobotsRequest>) -> Answer<v1::ListRobotsResponse> {
+        self.unary(operations::list_robots(&self.service, request.into_inner())).await
+    }
+
     async fn create_snapshot(&self, request: Request<v1::CreateSnapshotRequest>) -> Answer<v1::CreateSnapshotResponse> {
         self.unary(operations::create_snapshot(&self.service, request.into_inner())).await
     }

@@ -32,13 +32,10 @@ pub async fn export(State(app): State<App>, path: MapPath, request: Request) -> 
     let wanted = v1::ExportMapRequest {
         map: map.to_string(),
         format: format.into(),
-        snapshot: params.text("snapshot").unwrap_or_default().to_owned(),
+        snapshot: params.snapshot()?.to_owned(),
         depth: params.number("depth", "a whole number")?,
         mode: mode.into(),
     };
-    if params.text("snapshot").is_some_and(str::is_empty) {
-        return Err(HttpError::invalid("snapshot", "snapshot must be the name of a snapshot"));
-    }
     let place = app.door.transfer()?;
     let ExportedFile { file_name, revision, bytes } = operations::export_map(&app.service, &wanted).await?;
     let tag = format!("\"{file_name}-{:08x}\"", crc32c::crc32c(&bytes));
