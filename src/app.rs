@@ -1,6 +1,7 @@
 //! Floor 6: the server as a whole: store, service, listener, and an orderly end.
 
 use crate::config::{Config, ConfigError, StoreKind, seconds};
+use crate::reload::{self, Watch, Watched};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
@@ -11,7 +12,7 @@ use crate::transport::http::{self, HttpSettings, OutsideView, ServeLimits};
 use crate::transport::zenoh::{Reachable, ZenohError, ZenohServer};
 use axum::Router;
 use std::net::SocketAddr;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -75,7 +76,6 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     if let Some(address) = server.administration() {
         tracing::info!(%address, "administration and metrics");
     }
-    reload_when_told(&server.access, &server.door).map_err(AppError::Signal)?;
     if let Some(zenoh) = server.zenoh() {
         tracing::info!(id = zenoh.id(), listen = zenoh.locators().join(","), "on Zenoh");
     }
@@ -97,6 +97,8 @@ pub struct Server {
     door: Door,
     zenoh: Option<ZenohServer>,
     service: ServiceHandle,
+    /// Files that are read anew for as long as the server is there.
+    _watch: Watch,
 }
 
 /// One address that is listened on.
@@ -166,7 +168,7 @@ impl Server {
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
         });
-        let access = config.access()?;
+        let (access, watched) = access(config)?;
         let public = Listening::bind(config.listen).await?;
         let administration = match config.administration()? {
             Some(address) => Some(Listening::bind(address).await?),
@@ -192,13 +194,12 @@ impl Server {
             header_timeout: seconds(limits.header_seconds),
             grace: config.grace(),
         };
-        let ended = door.clone();
-        tokio::spawn(access.clone().keep_up(async move { ended.draining().await }));
+        let watch = Watch::start(watched, reload::LOOK).map_err(AppError::Signal)?;
         let kind = if administration.is_some() { Listener::Public } else { Listener::Only };
         let administration = administration
             .map(|bound| Listening::serve(bound, Listener::Administration, router.clone(), serve_limits.clone()));
         let public = Listening::serve(public, kind, router, serve_limits);
-        Ok(Self { public, administration, access, door, zenoh, service: ServiceHandle(service) })
+        Ok(Self { public, administration, access, door, zenoh, service: ServiceHandle(service), _watch: watch })
     }
 
     /// Where it listens.
@@ -267,6 +268,20 @@ impl Server {
     }
 }
 
+/// Who may come in, and the file that says so, to be read anew.
+fn access(config: &Config) -> Result<(Access, Vec<Watched>), AppError> {
+    let reading: Arc<OnceLock<Access>> = Arc::default();
+    let read = Arc::clone(&reading);
+    // Before the first reading, so that no change is missed.
+    let watched = config.tokens_file().map(|file| {
+        let reload = move || read.get().map_or(Ok("nothing yet".to_owned()), Access::reload);
+        Watched::new("tokens", vec![file.to_owned()], reload)
+    });
+    let access = config.access()?;
+    let access = reading.get_or_init(|| access).clone();
+    Ok((access, watched.into_iter().collect()))
+}
+
 /// The routes of REST and gRPC.
 fn routes(config: &Config, service: Guarded, door: &Door, outside: OutsideView) -> Result<Router, AppError> {
     let limits = &config.limits;
@@ -310,31 +325,6 @@ async fn closed(store: &Weak<dyn MapStore>) {
         }
         tokio::time::sleep(Duration::from_millis(5)).await;
     }
-}
-
-/// Reads the file of tokens again at every SIGHUP, until the server ends.
-#[cfg(unix)]
-fn reload_when_told(access: &Access, door: &Door) -> std::io::Result<()> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let mut told = signal(SignalKind::hangup())?;
-    let (access, door) = (access.clone(), door.clone());
-    tokio::spawn(async move {
-        loop {
-            tokio::select! {
-                () = door.draining() => break,
-                signal = told.recv() => if signal.is_none() { break },
-            }
-            let access = access.clone();
-            // As in `keep_up`: what fails there is told there.
-            let _ = tokio::task::spawn_blocking(move || access.reload()).await;
-        }
-    });
-    Ok(())
-}
-
-#[cfg(not(unix))]
-fn reload_when_told(_: &Access, _: &Door) -> std::io::Result<()> {
-    Ok(())
 }
 
 #[cfg(unix)]

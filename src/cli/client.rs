@@ -218,7 +218,8 @@ impl Client {
         regions: Vec<v1::Region>,
         tolerance: u32,
     ) -> Result<v1::CheckGuaranteedFreeResponse, ClientError> {
-        let request = v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance };
+        let request =
+            v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance, ..Default::default() };
         self.call("POST", &format!("/v1/maps/{map}/guaranteed-free"), Some(request.encode_to_vec()))
     }
 

@@ -66,7 +66,9 @@ impl Config {
         }
     }
 
-    fn tokens_file(&self) -> Option<&Path> {
+    /// The file of tokens, where there is one.
+    #[must_use]
+    pub fn tokens_file(&self) -> Option<&Path> {
         let file = self.access.tokens.as_path();
         (!file.as_os_str().is_empty()).then_some(file)
     }

@@ -152,6 +152,7 @@ impl Config {
         let bytes = (limits.insert_bytes, limits.body_bytes, MOST_BYTES);
         let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
         let blocks = (self.cache.block_bytes, LEAST_CACHE, MOST_BYTES);
+        let snapshots = (self.cache.snapshot_bytes, 0, MOST_BYTES);
         let pages = (usize::try_from(self.cache.page_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let rewritten = (usize::try_from(self.rewrite.least_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
@@ -159,6 +160,7 @@ impl Config {
             ("limits.insert_bytes", bytes),
             ("writer.evidence_threads", threads),
             ("cache.block_bytes", blocks),
+            ("cache.snapshot_bytes", snapshots),
             ("cache.page_bytes", pages),
             ("rewrite.least_bytes", rewritten),
         ];

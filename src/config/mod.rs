@@ -138,6 +138,8 @@ pub struct Limits {
 pub struct Cache {
     /// Most bytes of blocks in memory, all maps together.
     pub block_bytes: usize,
+    /// Most bytes of snapshots in memory for those who ask them.
+    pub snapshot_bytes: usize,
     /// Bytes of the store's own cache of pages.
     pub page_bytes: u64,
 }
@@ -231,7 +233,7 @@ impl Default for Limits {
 
 impl Default for Cache {
     fn default() -> Self {
-        Self { block_bytes: 1 << 30, page_bytes: SledOptions::default().cache_bytes }
+        Self { block_bytes: 1 << 30, snapshot_bytes: 256 << 20, page_bytes: SledOptions::default().cache_bytes }
     }
 }
 
@@ -280,6 +282,7 @@ impl Config {
             max_changes: self.writer.changes,
             max_bytes_in_flight: limits.insert_bytes,
             cache_bytes: self.cache.block_bytes,
+            snapshot_cache_bytes: self.cache.snapshot_bytes,
             max_concurrent_queries: limits.queries,
             evidence_threads: self.writer.evidence_threads,
         }

@@ -1,7 +1,8 @@
 //! Every operation from its request message to its response message: what all transports have in common.
 
-use super::access::OnBehalf;
-use crate::service::{ErrorKind, ExportedFile, ServiceError};
+use super::access::{OnBehalf, Operation};
+use crate::service::{ErrorKind, ExportedFile, MapView, ServiceError};
+use crate::store::MapName;
 use crate::wire::{self, Batch, v1};
 
 /// Creates a map.
@@ -63,7 +64,7 @@ pub async fn insert_scans(
 /// Classes at points.
 ///
 /// # Errors
-/// As [`OnBehalf::classes`].
+/// As [`OnBehalf::view`] and [`MapView::classes`].
 pub async fn get_classes(
     service: &OnBehalf,
     request: v1::GetClassesRequest,
@@ -71,44 +72,48 @@ pub async fn get_classes(
     let name = wire::map_name(&request.map)?;
     limited(request.points.len(), service.settings().max_points, "points", ErrorKind::TooManyPoints)?;
     let points = wire::points(&request.points)?;
-    Ok(wire::classes_response(service.classes(&name, &points, request.depth).await?))
+    let view = view(service, Operation::GetClasses, &name, &request.snapshot).await?;
+    Ok(wire::classes_response(view.classes(&points, request.depth).await?))
 }
 
 /// Quadtree leaves of a box.
 ///
 /// # Errors
-/// As [`OnBehalf::region`].
+/// As [`OnBehalf::view`] and [`MapView::region`].
 pub async fn get_region(
     service: &OnBehalf,
     request: v1::GetRegionRequest,
 ) -> Result<v1::GetRegionResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    Ok(wire::region_response(service.region_with(&name, &wire::region_query(&request), request.blocks).await?))
+    let view = view(service, Operation::GetRegion, &name, &request.snapshot).await?;
+    Ok(wire::region_response(view.region(&wire::region_query(&request), request.blocks).await?))
 }
 
 /// Dense raster of a box.
 ///
 /// # Errors
-/// As [`OnBehalf::grid`].
+/// As [`OnBehalf::view`] and [`MapView::grid`].
 pub async fn get_grid(service: &OnBehalf, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    Ok(wire::grid_response(service.grid(&name, &wire::grid_query(&request)).await?))
+    let view = view(service, Operation::GetGrid, &name, &request.snapshot).await?;
+    Ok(wire::grid_response(view.grid(&wire::grid_query(&request)).await?))
 }
 
 /// One tile.
 ///
 /// # Errors
-/// As [`OnBehalf::tile`].
+/// As [`OnBehalf::view`] and [`MapView::tile`].
 pub async fn get_tile(service: &OnBehalf, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     let v1::GetTileRequest { z, x, y, .. } = request;
-    Ok(wire::tile_response(service.tile(&name, z, x, y).await?, (z, x, y)))
+    let view = view(service, Operation::GetTile, &name, &request.snapshot).await?;
+    Ok(wire::tile_response(view.tile(z, x, y).await?, (z, x, y)))
 }
 
 /// The guaranteed-free query.
 ///
 /// # Errors
-/// As [`OnBehalf::guaranteed_free`].
+/// As [`OnBehalf::view`] and [`MapView::guaranteed_free`].
 pub async fn check_guaranteed_free(
     service: &OnBehalf,
     request: v1::CheckGuaranteedFreeRequest,
@@ -117,7 +122,8 @@ pub async fn check_guaranteed_free(
     let settings = service.settings();
     limited(request.regions.len(), settings.max_regions, "regions", ErrorKind::TooManyRegions)?;
     let regions = wire::regions(request.regions, &settings.region)?;
-    Ok(wire::free_response(&service.guaranteed_free(&name, &regions, request.tolerance).await?))
+    let view = view(service, Operation::CheckGuaranteedFree, &name, &request.snapshot).await?;
+    Ok(wire::free_response(&view.guaranteed_free(&regions, request.tolerance).await?))
 }
 
 /// Blocks changed since a revision.
@@ -131,6 +137,30 @@ pub async fn get_changes(
     let name = wire::map_name(&request.map)?;
     let query = wire::changes_query(&request);
     Ok(wire::changes_response(service.changes(&name, request.since, &query).await?))
+}
+
+/// Where the robots of a map are.
+///
+/// # Errors
+/// As [`OnBehalf::robots`].
+pub async fn list_robots(
+    service: &OnBehalf,
+    request: v1::ListRobotsRequest,
+) -> Result<v1::ListRobotsResponse, ServiceError> {
+    Ok(wire::list_robots_response(service.robots(&wire::map_name(&request.map)?).await?))
+}
+
+/// The revision of a map that a query reads: the last, or that of the snapshot which it names.
+///
+/// # Errors
+/// As [`OnBehalf::view`].
+pub async fn view(
+    service: &OnBehalf,
+    operation: Operation,
+    map: &MapName,
+    snapshot: &str,
+) -> Result<MapView, ServiceError> {
+    service.view(operation, map, wire::snapshot_wanted(snapshot)?.as_ref()).await
 }
 
 /// Keeps a map's last revision under a name.

@@ -10,7 +10,7 @@ use ubbmap::transport::access::{Operation, Reach, Role};
 use ubbmap::wire::v1;
 
 /// Routes as the router writes them, with a request for the map `hall` that succeeds, and its operation.
-const ROUTES: [(&str, &str, &str, Operation); 19] = [
+const ROUTES: [(&str, &str, &str, Operation); 20] = [
     ("GET", "/v1/maps/{map}", "/v1/maps/hall", Operation::GetMap),
     ("PUT", "/v1/maps/{map}", "/v1/maps/hall", Operation::CreateMap),
     ("POST", "/v1/maps/{map}/scans", "/v1/maps/hall/scans", Operation::InsertScans),
@@ -21,6 +21,7 @@ const ROUTES: [(&str, &str, &str, Operation); 19] = [
     ("GET", "/v1/maps/{map}/changes", "/v1/maps/hall/changes?since=0", Operation::GetChanges),
     ("GET", "/v1/maps/{map}/events", "/v1/maps/hall/events", Operation::WatchMap),
     ("GET", "/v1/maps/{map}/tiles/{z}/{x}/{y}", "/v1/maps/hall/tiles/0/0/0.png", Operation::GetTile),
+    ("GET", "/v1/maps/{map}/robots", "/v1/maps/hall/robots", Operation::ListRobots),
     ("GET", "/v1/maps/{map}/snapshots", "/v1/maps/hall/snapshots", Operation::ListSnapshots),
     ("POST", "/v1/maps/{map}/snapshots", "/v1/maps/hall/snapshots", Operation::CreateSnapshot),
     (

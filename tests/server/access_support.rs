@@ -78,7 +78,7 @@ impl Gate {
     pub fn keep(&self, names: &[&str]) {
         let kept: String = self.holders.iter().filter(|h| names.contains(&h.name)).map(|h| h.entry.as_str()).collect();
         std::fs::write(self.file(), kept).unwrap();
-        self.site.server.as_ref().unwrap().access().reload();
+        self.site.server.as_ref().unwrap().access().reload().unwrap();
     }
 
     pub fn token(&self, name: &str) -> &str {

@@ -91,7 +91,10 @@ fn tokens_are_made_listed_and_revoked() {
     let desk = Desk::new();
     let planner = desk.create("planner", "read", &["--expires", "90d"]);
     let robot = desk.create("amr-7", "write", &["--maps", "hall, yard-*", "--robot", "amr-7"]);
-    assert!(planner != robot && [&planner, &robot].iter().all(|t| t.starts_with("ubbmap_") && t.len() == 50), "{robot}");
+    assert!(
+        planner != robot && [&planner, &robot].iter().all(|t| t.starts_with("ubbmap_") && t.len() == 50),
+        "{robot}"
+    );
     let written = desk.tokens();
     assert!(!written.contains(&planner) && !written.contains(&robot), "{written}");
     #[cfg(unix)]
@@ -107,7 +110,10 @@ fn tokens_are_made_listed_and_revoked() {
     desk.token(&["create", "--name", "planner", "--role", "admin"]).fails(1, "token revoke");
     assert_eq!(desk.tokens(), written);
     let list = desk.token(&["list"]).ok().stdout;
-    assert!(list.contains("planner") && list.contains("hall, yard-* (robot amr-7)") && list.contains("never"), "{list}");
+    assert!(
+        list.contains("planner") && list.contains("hall, yard-* (robot amr-7)") && list.contains("never"),
+        "{list}"
+    );
     let json = desk.token(&["list", "--json"]).ok().json();
     assert_eq!((&json["entries"][1]["robot"], &json["entries"][0]["expired"]), (&"amr-7".into(), &false.into()));
 
@@ -117,7 +123,10 @@ fn tokens_are_made_listed_and_revoked() {
     fs::write(desk.path("tokens.toml"), &noted).unwrap();
     desk.token(&["revoke", "planner"]).ok();
     let left = desk.tokens();
-    assert!(left.contains("# The robot in the hall.\n[[token]]\nname = \"amr-7\"") && !left.contains("planner"), "{left}");
+    assert!(
+        left.contains("# The robot in the hall.\n[[token]]\nname = \"amr-7\"") && !left.contains("planner"),
+        "{left}"
+    );
     assert!(left.starts_with("# Who may do what"), "{left}");
     desk.token(&["revoke", "planner"]).fails(1, "token list");
     desk.token(&["revoke", "amr-7"]).ok();
@@ -138,7 +147,11 @@ fn what_makes_no_token_is_named() {
     assert!(!desk.path("tokens.toml").exists());
     desk.token(&["list"]).fails(1, "cannot read");
     run(["token", "list"]).fails(2, "--file");
-    fs::write(desk.path("tokens.toml"), "[[token]]\nname = \"a\"\nrole = \"read\"\nmaps = [\"*\"]\ntoken = \"ubbmap_c2VjcmV0\"\n").unwrap();
+    fs::write(
+        desk.path("tokens.toml"),
+        "[[token]]\nname = \"a\"\nrole = \"read\"\nmaps = [\"*\"]\ntoken = \"ubbmap_c2VjcmV0\"\n",
+    )
+    .unwrap();
     let done = create(&["--name", "b", "--role", "read"]).fails(1, "line 5");
     assert!(done.stderr.contains("unknown field `token`") && !done.stderr.contains("c2VjcmV0"), "{done:?}");
     // Without a file the entry is shown, to be put into one.
@@ -256,7 +269,7 @@ fn a_signal_has_the_tokens_read_again() {
     server.run(&reader, &["map", "list"]).ok();
     desk.token(&["revoke", "reader"]).ok();
     server.signal("-HUP");
-    until("the file is read", || desk.log().contains("the file of tokens was read again"));
+    until("the file is read", || desk.log().contains("read anew: 1 entries"));
     server.run(&reader, &["map", "list"]).fails(1, "UNAUTHENTICATED");
     server.run(&admin, &["map", "list"]).ok();
     // Without tokens it is no reason to end.

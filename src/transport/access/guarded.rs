@@ -2,10 +2,10 @@
 
 use super::audit::Change;
 use super::{Access, Caller, Operation, Peer, Refused, Shown};
-use crate::mapping::{MapConfig, Region};
+use crate::mapping::MapConfig;
 use crate::service::{
-    BoxQuery, Changes, ChangesQuery, ClassesAnswer, Created, ExportForm, ExportedFile, FreeAnswers, InsertAnswer,
-    MapDescription, MapService, MapVersion, Raster, RegionAnswer, ScanInput, ServiceError, ServiceSettings, Watch,
+    Changes, ChangesQuery, Created, ExportForm, ExportedFile, InsertAnswer, MapDescription, MapService, MapVersion,
+    MapView, RobotsAnswer, ScanInput, ServiceError, ServiceSettings, Watch,
 };
 use crate::store::{MapName, SnapshotName, StoredSnapshot};
 use std::sync::Arc;
@@ -193,64 +193,27 @@ impl OnBehalf {
         self.service.insert_when_free(name, scans).await
     }
 
-    /// As [`MapService::classes`].
+    /// As [`MapService::view`], to be read for an operation.
     ///
     /// # Errors
     /// Those, and of [`OnBehalf::may`].
-    pub async fn classes(
+    pub async fn view(
         &self,
+        operation: Operation,
         name: &MapName,
-        points: &[(f64, f64)],
-        depth: Option<u32>,
-    ) -> Result<ClassesAnswer, ServiceError> {
-        self.may(Operation::GetClasses, name)?;
-        self.service.classes(name, points, depth).await
+        snapshot: Option<&SnapshotName>,
+    ) -> Result<MapView, ServiceError> {
+        self.may(operation, name)?;
+        self.service.view(name, snapshot).await
     }
 
-    /// As [`MapService::region_with`].
+    /// As [`MapService::robots`].
     ///
     /// # Errors
     /// Those, and of [`OnBehalf::may`].
-    pub async fn region_with(
-        &self,
-        name: &MapName,
-        query: &BoxQuery,
-        with_blocks: bool,
-    ) -> Result<RegionAnswer, ServiceError> {
-        self.may(Operation::GetRegion, name)?;
-        self.service.region_with(name, query, with_blocks).await
-    }
-
-    /// As [`MapService::grid`].
-    ///
-    /// # Errors
-    /// Those, and of [`OnBehalf::may`].
-    pub async fn grid(&self, name: &MapName, query: &BoxQuery) -> Result<Raster, ServiceError> {
-        self.may(Operation::GetGrid, name)?;
-        self.service.grid(name, query).await
-    }
-
-    /// As [`MapService::tile`].
-    ///
-    /// # Errors
-    /// Those, and of [`OnBehalf::may`].
-    pub async fn tile(&self, name: &MapName, z: u32, x: u32, y: u32) -> Result<Raster, ServiceError> {
-        self.may(Operation::GetTile, name)?;
-        self.service.tile(name, z, x, y).await
-    }
-
-    /// As [`MapService::guaranteed_free`].
-    ///
-    /// # Errors
-    /// Those, and of [`OnBehalf::may`].
-    pub async fn guaranteed_free(
-        &self,
-        name: &MapName,
-        regions: &[Region],
-        tolerance: u32,
-    ) -> Result<FreeAnswers, ServiceError> {
-        self.may(Operation::CheckGuaranteedFree, name)?;
-        self.service.guaranteed_free(name, regions, tolerance).await
+    pub async fn robots(&self, name: &MapName) -> Result<RobotsAnswer, ServiceError> {
+        self.may(Operation::ListRobots, name)?;
+        self.service.robots(name).await
     }
 
     /// As [`MapService::changes`].

@@ -14,14 +14,13 @@ mod token;
 
 use crate::service::ServiceError;
 use arc_swap::ArcSwap;
-use metrics::{counter, describe_counter, describe_gauge, gauge};
+use metrics::{describe_gauge, gauge};
 use refusals::Refusals;
 use std::fs::File;
 use std::io::Read;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 pub use caller::{Caller, Grant, MapScope, Role};
 pub use guarded::{Guarded, OnBehalf, Origin};
@@ -30,16 +29,11 @@ pub use refusals::{Reason, Refused};
 pub use roll::{Entry, Proof, Roll, RollError, entry_name, expiry};
 pub use token::{PREFIX, Secret, TokenHash, bearer};
 
-const RELOADS: &str = "ubbmap_access_reloads_total";
 const ENTRIES: &str = "ubbmap_access_entries";
 const STALE: &str = "ubbmap_access_stale";
 
-/// How often the file of tokens is looked at.
-const LOOK: Duration = Duration::from_secs(2);
-
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
-    describe_counter!(RELOADS, "Readings of the file of tokens after the first, by outcome: applied or failed");
     describe_gauge!(ENTRIES, "Entries of the file of tokens that are in force");
     describe_gauge!(
         STALE,
@@ -126,8 +120,8 @@ enum Mode {
 struct FromFile {
     path: PathBuf,
     roll: ArcSwap<Roll>,
-    /// What was read last, or why nothing was; held while a new one is taken over.
-    last: Mutex<Result<String, String>>,
+    /// Held while it is read and taken over.
+    reading: Mutex<()>,
 }
 
 impl Access {
@@ -143,10 +137,8 @@ impl Access {
     /// # Errors
     /// [`RollError`]
     pub fn from_file(path: &Path) -> Result<Self, RollError> {
-        let text = read(path).map_err(|source| RollError::File { path: path.to_owned(), source })?;
-        let roll = Roll::parse(&text).map_err(|problem| RollError::Content { path: path.to_owned(), problem })?;
-        let (roll, last) = (ArcSwap::from_pointee(roll), Mutex::new(Ok(text)));
-        Ok(Self::of(Mode::File(FromFile { path: path.to_owned(), roll, last })))
+        let roll = ArcSwap::from_pointee(load(path)?);
+        Ok(Self::of(Mode::File(FromFile { path: path.to_owned(), roll, reading: Mutex::new(()) })))
     }
 
     fn of(mode: Mode) -> Self {
@@ -156,8 +148,6 @@ impl Access {
         };
         gauge!(ENTRIES).set(entries as f64);
         gauge!(STALE).set(0.0);
-        // From the start, so that a rate sees the first one.
-        ["applied", "failed"].into_iter().for_each(|outcome| counter!(RELOADS, "outcome" => outcome).increment(0));
         refusals::show_metrics();
         Self(Arc::new(Inner { mode, refusals: Refusals::default() }))
     }
@@ -187,27 +177,14 @@ impl Access {
     }
 
     /// Reads the file again, if there is one. One that cannot be read or is not valid changes nothing: what was in force
-    /// stays so, and the log and the metrics say it.
-    pub fn reload(&self) {
-        if let Mode::File(file) = &self.0.mode {
-            file.reload();
-        }
-    }
-
-    /// Reads the file again whenever it has changed, until `ended` is done.
-    pub async fn keep_up(self, ended: impl Future<Output = ()>) {
-        if matches!(self.0.mode, Mode::Open { .. }) {
-            return;
-        }
-        tokio::pin!(ended);
-        loop {
-            tokio::select! {
-                () = &mut ended => break,
-                () = tokio::time::sleep(LOOK) => {}
-            }
-            let access = self.clone();
-            // Reading may wait for a disk. A panic there is told by the runtime, and the next look comes all the same.
-            let _ = tokio::task::spawn_blocking(move || access.reload()).await;
+    /// stays so. Blocks.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub fn reload(&self) -> Result<String, String> {
+        match &self.0.mode {
+            Mode::Open { .. } => Ok("there is no file of tokens".to_owned()),
+            Mode::File(file) => file.reload(),
         }
     }
 }
@@ -241,36 +218,22 @@ impl FromFile {
         Ok(caller.clone())
     }
 
-    fn reload(&self) {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let text = read(&self.path).map_err(|error| error.to_string());
-        if text == *last {
-            return;
-        }
-        let parsed = text.as_ref().map_err(Clone::clone).and_then(|text| Roll::parse(text));
-        match parsed {
-            Ok(mut roll) => {
-                let entries = roll.entries().len();
-                roll.succeed(&self.roll.load());
-                self.roll.store(Arc::new(roll));
-                gauge!(ENTRIES).set(entries as f64);
-                gauge!(STALE).set(0.0);
-                counter!(RELOADS, "outcome" => "applied").increment(1);
-                tracing::info!(target: "ubbmap::access", file = %self.path.display(), entries, "the file of tokens was read again");
-            }
-            Err(problem) => {
-                gauge!(STALE).set(1.0);
-                counter!(RELOADS, "outcome" => "failed").increment(1);
-                tracing::error!(
-                    target: "ubbmap::access",
-                    file = %self.path.display(),
-                    problem,
-                    "the file of tokens is not taken: what it said before stays in force"
-                );
-            }
-        }
-        *last = text;
+    fn reload(&self) -> Result<String, String> {
+        let _alone = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
+        let read = load(&self.path);
+        gauge!(STALE).set(if read.is_ok() { 0.0 } else { 1.0 });
+        let mut roll = read.map_err(|error| error.to_string())?;
+        let entries = roll.entries().len();
+        roll.succeed(&self.roll.load());
+        self.roll.store(Arc::new(roll));
+        gauge!(ENTRIES).set(entries as f64);
+        Ok(format!("{entries} entries of {}", self.path.display()))
     }
+}
+
+fn load(path: &Path) -> Result<Roll, RollError> {
+    let text = read(path).map_err(|source| RollError::File { path: path.to_owned(), source })?;
+    Roll::parse(&text).map_err(|problem| RollError::Content { path: path.to_owned(), problem })
 }
 
 /// The text of a file, if it is not too large.

@@ -19,6 +19,7 @@ pub enum Operation {
     CheckGuaranteedFree,
     GetChanges,
     WatchMap,
+    ListRobots,
     CreateSnapshot,
     ListSnapshots,
     RestoreSnapshot,
@@ -42,7 +43,7 @@ pub enum Reach {
 
 impl Operation {
     /// The methods of the interface, in its order.
-    pub const METHODS: [Self; 19] = [
+    pub const METHODS: [Self; 20] = [
         Self::CreateMap,
         Self::GetMap,
         Self::ListMaps,
@@ -56,6 +57,7 @@ impl Operation {
         Self::CheckGuaranteedFree,
         Self::GetChanges,
         Self::WatchMap,
+        Self::ListRobots,
         Self::CreateSnapshot,
         Self::ListSnapshots,
         Self::RestoreSnapshot,
@@ -82,6 +84,7 @@ impl Operation {
             | Self::CheckGuaranteedFree
             | Self::GetChanges
             | Self::WatchMap
+            | Self::ListRobots
             | Self::ListSnapshots
             | Self::ExportMap => (Role::Read, Reach::OneMap),
             Self::ListMaps => (Role::Read, Reach::Visible),
@@ -113,6 +116,7 @@ impl Operation {
             Self::CheckGuaranteedFree => "CheckGuaranteedFree",
             Self::GetChanges => "GetChanges",
             Self::WatchMap => "WatchMap",
+            Self::ListRobots => "ListRobots",
             Self::CreateSnapshot => "CreateSnapshot",
             Self::ListSnapshots => "ListSnapshots",
             Self::RestoreSnapshot => "RestoreSnapshot",
@@ -135,7 +139,8 @@ impl Operation {
             | Self::GetTile
             | Self::CheckGuaranteedFree
             | Self::GetChanges
-            | Self::WatchMap => "read the map",
+            | Self::WatchMap
+            | Self::ListRobots => "read the map",
             Self::ListMaps => "list maps",
             Self::DeleteMap => "delete the map",
             Self::InsertScans | Self::StreamScans => "send scans to the map",

@@ -177,6 +177,11 @@ impl map_service_server::MapService for MapRpc {
         watch.and_then(|begun| begun).map(messages).map(Response::new).map_err(|error| to_status(&error))
     }
 
+    async fn list_robots(&self, request: Request<v1::ListRobotsRequest>) -> Answer<v1::ListRobotsResponse> {
+        let (caller, request) = asked(request)?;
+        self.unary(operations::list_robots(&caller, request)).await
+    }
+
     async fn create_snapshot(&self, request: Request<v1::CreateSnapshotRequest>) -> Answer<v1::CreateSnapshotResponse> {
         let (caller, request) = asked(request)?;
         self.unary(operations::create_snapshot(&caller, request)).await

@@ -26,6 +26,9 @@ const LAST_EVENT_ID: &str = "last-event-id";
 
 const KNOWN: [&str; 7] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents"];
 
+/// Those of a stream of changes.
+const WATCHED: [&str; 8] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents", "robots"];
+
 const REVISION: &str = "a revision, a whole number";
 
 /// How a stream of changes is written.
@@ -68,7 +71,7 @@ pub async fn events(
     request: Request,
 ) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &KNOWN)?;
+    let params = params(request.uri(), &WATCHED)?;
     let form = accept::choose(request.headers(), &FORMS)?;
     let since = match last_event(request.headers())? {
         // It is where the client stopped; the query string is where it once began.
@@ -85,6 +88,7 @@ pub async fn events(
         max_y: area.max_y,
         depth: area.depth,
         contents: params.flag("contents")?,
+        robots: params.flag("robots")?,
     };
     let changes = watching::begin(&caller, &app.door, &request).await?;
     Ok(match form {

@@ -82,6 +82,7 @@ pub fn router(service: Guarded, settings: HttpSettings, door: Door, outside: Out
         .route("/v1/maps/{map}/guaranteed-free", post(queries::guaranteed_free))
         .route("/v1/maps/{map}/region", get(queries::region))
         .route("/v1/maps/{map}/grid", get(rasters::grid))
+        .route("/v1/maps/{map}/robots", get(queries::robots))
         .route("/v1/maps/{map}/changes", get(changes::since))
         .route("/v1/maps/{map}/events", get(changes::events))
         .route("/v1/maps/{map}/tiles/{z}/{x}/{y}", get(rasters::tile))

@@ -38,13 +38,10 @@ pub async fn export(
     let wanted = v1::ExportMapRequest {
         map: map.to_string(),
         format: format.into(),
-        snapshot: params.text("snapshot").unwrap_or_default().to_owned(),
+        snapshot: params.snapshot()?.to_owned(),
         depth: params.number("depth", "a whole number")?,
         mode: mode.into(),
     };
-    if params.text("snapshot").is_some_and(str::is_empty) {
-        return Err(HttpError::invalid("snapshot", "snapshot must be the name of a snapshot"));
-    }
     caller.may(Operation::ExportMap, &map)?;
     let place = app.door.transfer()?;
     let ExportedFile { file_name, revision, bytes } = operations::export_map(&caller, &wanted).await?;
