@@ -34,6 +34,8 @@ mod http_system;
 mod http_transfer;
 mod http_viewer;
 mod kill;
+mod linearizable;
+mod linearizable_judge;
 mod logs;
 mod logs_real;
 mod parity;
