@@ -50,6 +50,7 @@ pub fn metrics_handle() -> PrometheusHandle {
             }
             crate::reload::describe_metrics();
             crate::service::describe_metrics();
+            crate::transport::access::describe_metrics();
             crate::transport::door::describe_metrics();
             crate::transport::grpc::describe_metrics();
             crate::transport::http::describe_metrics();

@@ -8,6 +8,10 @@ use crate::transport::http::Problem;
 use crate::wire::{to_wire_config, v1};
 use clap::Args;
 use prost::Message;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -21,6 +25,9 @@ const MAX_ANSWER_BYTES: u64 = 256 << 20;
 
 /// Longest time for one request, seconds.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Bytes of a file of a token that are read.
+const LONGEST_TOKEN_FILE: u64 = 4096;
 
 /// Names farther apart than this are not offered.
 const LEAST_SIMILARITY: f64 = 0.7;
@@ -40,8 +47,60 @@ pub(super) struct ServerOptions {
     /// The server [default: $UBBMAP_SERVER, or http://127.0.0.1:8080]
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    /// The token for it; others on this machine see what stands on a command line [default: $UBBMAP_TOKEN]
+    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file")]
+    token: Option<Token>,
+    /// A file that holds the token [default: $UBBMAP_TOKEN_FILE]
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
     #[command(flatten)]
     secure: SecureOptions,
+}
+
+/// A token for the server. It is in no message of an error and in no debug form.
+#[derive(Clone)]
+struct Token(String);
+
+impl FromStr for Token {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let text = text.trim();
+        let fits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_graphic());
+        if fits { Ok(Self(text.to_owned())) } else { Err("is no token: it must be one word") }
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token")
+    }
+}
+
+impl ServerOptions {
+    /// The token that the flags name, else the environment.
+    fn token(&self) -> Result<Option<Token>, Failure> {
+        if self.token.is_some() {
+            return Ok(self.token.clone());
+        }
+        if let Some(file) = &self.token_file {
+            return read_token(file, "--token-file").map(Some);
+        }
+        // An empty variable is none.
+        let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+        if let Some(token) = variable("UBBMAP_TOKEN") {
+            let token = token.to_str().unwrap_or_default().parse();
+            return token.map(Some).map_err(|problem| Failure::Usage(format!("UBBMAP_TOKEN {problem}")));
+        }
+        variable("UBBMAP_TOKEN_FILE").map(|file| read_token(Path::new(&file), "UBBMAP_TOKEN_FILE")).transpose()
+    }
+}
+
+fn read_token(file: &Path, named_by: &str) -> Result<Token, Failure> {
+    let (mut text, path) = (String::new(), file.display());
+    let read = File::open(file).and_then(|file| file.take(LONGEST_TOKEN_FILE).read_to_string(&mut text));
+    read.map_err(|error| Failure::Usage(format!("{named_by}: cannot read {path}: {error}")))?;
+    text.parse().map_err(|problem| Failure::Usage(format!("{named_by}: what {path} holds {problem}")))
 }
 
 /// Why a request failed.
@@ -107,7 +166,7 @@ impl ClientError {
 pub(super) struct Client {
     agent: ureq::Agent,
     server: String,
-    token: Option<String>,
+    token: Option<Token>,
 }
 
 impl Client {
@@ -119,10 +178,11 @@ impl Client {
             let problem = format!("--ca, --cert and --key are for a server of https://, and this is {server}");
             return Err(Failure::Usage(problem));
         }
-        Self::with(server, &options.secure.with_environment())
+        let client = Self::with(server, &options.secure.with_environment())?;
+        Ok(Self { token: options.token()?, ..client })
     }
 
-    /// A client of a server without TLS.
+    /// A client of a server without TLS and without a token.
     ///
     /// # Errors
     /// Bad usage for what is no URL.
@@ -147,7 +207,7 @@ impl Client {
             .timeout_connect(Some(Duration::from_secs(5)))
             .user_agent(concat!("ubbmap/", env!("CARGO_PKG_VERSION")))
             .build();
-        Ok(Self { agent: config.into(), server: server.to_owned(), token: std::env::var("UBBMAP_TOKEN").ok() })
+        Ok(Self { agent: config.into(), server: server.to_owned(), token: None })
     }
 
     /// Creates a map, or finds it there with this configuration.
@@ -184,7 +244,8 @@ impl Client {
         regions: Vec<v1::Region>,
         tolerance: u32,
     ) -> Result<v1::CheckGuaranteedFreeResponse, ClientError> {
-        let request = v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance };
+        let request =
+            v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance, ..Default::default() };
         self.call("POST", &format!("/v1/maps/{map}/guaranteed-free"), Some(request.encode_to_vec()))
     }
 
@@ -293,7 +354,7 @@ impl Client {
     pub(super) fn head(&self, method: &str, path: &str) -> ureq::http::request::Builder {
         let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.server));
         match &self.token {
-            Some(token) => request.header("authorization", format!("Bearer {token}")),
+            Some(Token(token)) => request.header("authorization", format!("Bearer {token}")),
             None => request,
         }
     }

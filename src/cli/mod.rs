@@ -14,6 +14,7 @@ mod secure;
 mod serve;
 mod snapshots;
 mod store;
+mod token;
 mod transfer;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -41,6 +42,7 @@ enum Command {
     Map(map::Map),
     Check(check::Check),
     Store(store::Store),
+    Token(token::Token),
     Experiment(Box<experiment::RunExperiment>),
 }
 
@@ -63,6 +65,7 @@ pub fn run() -> ExitCode {
         Command::Map(map) => map.run(),
         Command::Check(check) => check.run(),
         Command::Store(store) => store.run(),
+        Command::Token(token) => token.run(),
         Command::Experiment(experiment) => experiment.run(),
     };
     match done {

@@ -115,6 +115,34 @@ pub(super) fn write_whole(
     written
 }
 
+/// Writes a file that only its owner may read, as a whole: beside its place, and then moved there. A file that is there keeps
+/// its owner and permissions, so that a server that runs as another user goes on reading it.
+pub(super) fn write_private(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let there = std::fs::metadata(path).ok();
+    write_whole(path, |out| {
+        be_like(out.get_ref(), there.as_ref())?;
+        Ok(out.write_all(bytes)?)
+    })
+    .map(drop)
+}
+
+#[cfg(unix)]
+fn be_like(file: &File, there: Option<&std::fs::Metadata>) -> anyhow::Result<()> {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+    let Some(there) = there else { return Ok(file.set_permissions(std::fs::Permissions::from_mode(0o600))?) };
+    let made = file.metadata()?;
+    if (made.uid(), made.gid()) != (there.uid(), there.gid()) {
+        fchown(file, Some(there.uid()), Some(there.gid()))
+            .with_context(|| format!("it belongs to user {}, and you may not keep that so", there.uid()))?;
+    }
+    Ok(file.set_permissions(there.permissions())?)
+}
+
+#[cfg(not(unix))]
+fn be_like(file: &File, there: Option<&std::fs::Metadata>) -> anyhow::Result<()> {
+    there.map_or(Ok(()), |there| Ok(file.set_permissions(there.permissions())?))
+}
+
 /// Seconds since the Unix epoch as a time of RFC 3339; as the number where it is none of our calendar.
 pub(super) fn time_text(seconds: f64) -> String {
     let since = Duration::try_from_secs_f64(seconds).ok().filter(|since| since.as_secs() < FAR_FUTURE);

@@ -30,6 +30,12 @@ pub(super) struct Serve {
     /// Level or filter of the log on stderr, such as warn or ubbmap=debug [default: info]
     #[arg(long, value_name = "FILTER")]
     log: Option<String>,
+    /// File of tokens: who may do what; `ubbmap token create` writes it [default: none, and everything is open]
+    #[arg(long, value_name = "FILE")]
+    tokens: Option<PathBuf>,
+    /// Address of its own for administration and /metrics [default: none, they are at --listen]
+    #[arg(long, value_name = "ADDRESS")]
+    admin_listen: Option<SocketAddr>,
     /// Allow an address beyond loopback although everyone who reaches it may read and change every map
     #[arg(long)]
     insecure: bool,
@@ -66,6 +72,12 @@ impl Serve {
         }
         if let Some(log) = &self.log {
             overrides.push(("log", log.clone()));
+        }
+        if let Some(tokens) = &self.tokens {
+            overrides.push(("access.tokens", tokens.display().to_string()));
+        }
+        if let Some(address) = self.admin_listen {
+            overrides.push(("admin_listen", address.to_string()));
         }
         if self.insecure {
             overrides.push(("insecure", "true".to_owned()));

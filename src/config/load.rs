@@ -7,7 +7,7 @@ use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
 /// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
-const OTHER_VARIABLES: [&str; 8] = [
+const OTHER_VARIABLES: [&str; 9] = [
     "UBBMAP_CA",
     "UBBMAP_CERT",
     "UBBMAP_CONFIG",
@@ -15,6 +15,7 @@ const OTHER_VARIABLES: [&str; 8] = [
     "UBBMAP_KEY",
     "UBBMAP_SERVER",
     "UBBMAP_TOKEN",
+    "UBBMAP_TOKEN_FILE",
     "UBBMAP_VIEWER",
 ];
 
@@ -111,11 +112,9 @@ impl Config {
             return Err(bad("log", problem));
         }
         self.tls.check()?;
-        self.zenoh.check(self.insecure)?;
-        if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
-            return Err(ConfigError::NotLoopback(self.listen));
-        }
-        Ok(())
+        let client_auth = (!self.tls.cert.is_empty()).then_some(self.tls.client_auth);
+        self.zenoh.check(self.insecure, client_auth)?;
+        self.check_access()
     }
 }
 
@@ -164,6 +163,7 @@ impl Config {
         let bytes = (limits.insert_bytes, limits.body_bytes, MOST_BYTES);
         let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
         let blocks = (self.cache.block_bytes, LEAST_CACHE, MOST_BYTES);
+        let snapshots = (self.cache.snapshot_bytes, 0, MOST_BYTES);
         let pages = (usize::try_from(self.cache.page_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let rewritten = (usize::try_from(self.rewrite.least_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
@@ -171,6 +171,7 @@ impl Config {
             ("limits.insert_bytes", bytes),
             ("writer.evidence_threads", threads),
             ("cache.block_bytes", blocks),
+            ("cache.snapshot_bytes", snapshots),
             ("cache.page_bytes", pages),
             ("rewrite.least_bytes", rewritten),
         ];

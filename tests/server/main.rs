@@ -2,6 +2,10 @@
 #![cfg(feature = "server")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test may fail loudly")]
 
+mod access_life;
+mod access_routes;
+mod access_support;
+mod cli_access;
 mod cli_build;
 mod cli_experiment;
 mod cli_files;
@@ -31,6 +35,8 @@ mod http_system;
 mod http_transfer;
 mod http_viewer;
 mod kill;
+mod linearizable;
+mod linearizable_judge;
 mod logs;
 mod logs_real;
 mod parity;
@@ -47,10 +53,12 @@ mod service_inserts;
 mod service_maps;
 mod service_paging;
 mod service_queries;
+mod service_robots;
 mod service_sled;
 mod service_snapshots;
 mod service_support;
 mod service_transfer;
+mod service_views;
 mod store_crash;
 mod store_damage;
 mod store_durability;

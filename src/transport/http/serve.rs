@@ -2,9 +2,9 @@
 
 use super::problem::{HttpError, PROBLEM_JSON, Problem};
 use crate::service::ErrorKind;
+use crate::transport::access::{Listener, Peer};
 use crate::transport::tls::{Opened, Outcome, Secure, Tls, linger};
-use axum::Router;
-use axum::extract::Request;
+use axum::{Extension, Router};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::GracefulShutdown;
@@ -16,7 +16,6 @@ use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
-use tower::ServiceExt;
 
 /// How long to wait after a failed accept: out of file descriptors, the next one fails as well.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -41,10 +40,11 @@ pub struct ServeLimits {
     pub grace: Duration,
 }
 
-/// Serves until `stop` is done; then accepts no more, ends idle connections, and waits for requests under way for the
-/// time of grace. With `tls` it speaks nothing else, and whom a client's certificate names is an extension of each request.
+/// Serves until `stop` is done, and tells the routes from whom and by which listener a request came; then accepts no more,
+/// ends idle connections, and waits for requests under way for the time of grace. With `tls` it speaks nothing else.
 pub async fn serve(
     listener: TcpListener,
+    kind: Listener,
     router: Router,
     limits: &ServeLimits,
     tls: Option<Tls>,
@@ -61,7 +61,7 @@ pub async fn serve(
             let permit = Arc::clone(&connections).acquire_owned().await.ok();
             (listener.accept().await, permit)
         };
-        let ((stream, peer), permit) = tokio::select! {
+        let ((stream, address), permit) = tokio::select! {
             () = &mut stop => break,
             (accepted, permit) = accepted => match accepted {
                 Ok(accepted) => (accepted, permit),
@@ -75,14 +75,10 @@ pub async fn serve(
         let (router, tls) = (router.clone(), tls.clone());
         let (builder, watcher) = (builder.clone(), graceful.watcher());
         tokio::spawn(async move {
-            let Some(Opened { stream, certificate }) = open(stream, peer, tls, patience).await else { return };
-            let service = router.map_request(move |mut request: Request<_>| {
-                if let Some(named) = &certificate {
-                    request.extensions_mut().insert(named.clone());
-                }
-                request
-            });
-            let connection = builder.serve_connection(TokioIo::new(stream), TowerToHyperService::new(service));
+            let Some(Opened { stream, certificate }) = open(stream, address, tls, patience).await else { return };
+            let peer = Peer { address: Some(address), certificate, listener: kind };
+            let service = TowerToHyperService::new(tower::Layer::layer(&Extension(peer), router));
+            let connection = builder.serve_connection(TokioIo::new(stream), service);
             if let Err(error) = watcher.watch(connection).await {
                 // A client that went away or sent no HTTP: its affair.
                 tracing::debug!(%error, "a connection ended early");
