@@ -65,9 +65,11 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     // Before anything is opened, so that a signal during the start is not lost.
     let stop = stop_signal().map_err(AppError::Signal)?;
     config.check()?;
+    // A server that cannot listen leaves no new store behind.
+    let listener = bind(&config).await?;
     let store = open_store(&config).await?;
     let open = Arc::downgrade(&store);
-    let server = Server::start(&config, store).await?;
+    let server = Server::start_on(listener, &config, store).await?;
     tracing::info!(address = %server.address(), "ready");
     if let Some(zenoh) = server.zenoh() {
         tracing::info!(id = zenoh.id(), listen = zenoh.locators().join(","), "on Zenoh");
@@ -108,6 +110,15 @@ impl Server {
     /// [`AppError`] when the settings do not hold, the service does not start or the address is taken.
     pub async fn start(config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
         config.check()?;
+        Self::start_on(bind(config).await?, config, store).await
+    }
+
+    /// Starts a server over a store on a listener of [`bind`].
+    ///
+    /// # Errors
+    /// [`AppError`] when the settings do not hold or the service does not start.
+    pub async fn start_on(listener: TcpListener, config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
+        config.check()?;
         let metrics = telemetry::metrics_handle();
         let service = MapService::open(store, config.service_settings())?;
         let limits = &config.limits;
@@ -124,9 +135,7 @@ impl Server {
             import_bytes: limits.import_bytes,
             scans_per_stream: limits.scans_per_stream,
         };
-        let failed = |source| AppError::Listen { address: config.listen, source };
-        let listener = TcpListener::bind(config.listen).await.map_err(failed)?;
-        let address = listener.local_addr().map_err(failed)?;
+        let address = listener.local_addr().map_err(|source| AppError::Listen { address: config.listen, source })?;
         let zenoh = match config.zenoh_settings() {
             Some(settings) => Some(ZenohServer::start(service.clone(), door.clone(), settings).await?),
             None => None,
@@ -147,7 +156,7 @@ impl Server {
             scans_per_stream: limits.scans_per_stream,
         };
         let rpc = grpc::router(service.clone(), settings, door.clone()).map_err(AppError::Reflection)?;
-        let router = rest.merge(rpc);
+        let router = telemetry::trace_requests(rest.merge(rpc));
         let serve_limits = ServeLimits {
             connections: limits.connections,
             header_timeout: seconds(limits.header_seconds),
@@ -203,6 +212,14 @@ impl Server {
         self.service.0.drain().await;
         ended.map_err(|_| AppError::Listener)
     }
+}
+
+/// Takes the address that the settings name. Connections wait there until a server answers them.
+///
+/// # Errors
+/// [`AppError::Listen`] when it cannot be listened on.
+pub async fn bind(config: &Config) -> Result<TcpListener, AppError> {
+    TcpListener::bind(config.listen).await.map_err(|source| AppError::Listen { address: config.listen, source })
 }
 
 async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {

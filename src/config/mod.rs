@@ -6,6 +6,7 @@ mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod telemetry;
 mod zenoh;
 
 use crate::mapping::RegionLimits;
@@ -18,6 +19,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 pub use error::ConfigError;
+pub use load::Origins;
+pub use telemetry::Telemetry;
 pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
@@ -66,6 +69,8 @@ pub struct Config {
     pub writer: Writer,
     /// The transport over Zenoh.
     pub zenoh: Zenoh,
+    /// Traces of requests.
+    pub telemetry: Telemetry,
     /// The end of the server.
     pub shutdown: Shutdown,
 }
@@ -184,6 +189,7 @@ impl Default for Config {
             rewrite: Rewrite::default(),
             writer: Writer::default(),
             zenoh: Zenoh::default(),
+            telemetry: Telemetry::default(),
             shutdown: Shutdown::default(),
         }
     }

@@ -2,10 +2,15 @@
 #![cfg(feature = "server")]
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test may fail loudly")]
 
+mod bag_support;
+mod bags;
+mod bags_refused;
 mod cli_build;
 mod cli_experiment;
 mod cli_files;
+mod cli_help;
 mod cli_picture;
+mod cli_preflight;
 mod cli_server;
 mod cli_store;
 mod cli_support;
