@@ -3,7 +3,7 @@
 use super::client::{Client, map_name};
 use super::output::{Failure, note, say, say_json};
 use super::replay::sender::{Numbered, Running, Tally, Team};
-use crate::app::{AppError, Server};
+use crate::app::{AppError, Server, bind};
 use crate::config::Config;
 use crate::mapping::{EvidenceRule, MapConfig};
 use crate::picture::Picture;
@@ -100,16 +100,20 @@ impl Demo {
             log: "warn".to_owned(),
             ..Config::default()
         };
-        telemetry::init(&config.log, config.log_format);
+        telemetry::init(&config.log, config.log_format, None);
+        let refused = |error| match error {
+            AppError::Config(error) => Failure::Configuration(error.to_string()),
+            error => Failure::Failed(error.into()),
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+        config.check().map_err(|error| refused(error.into()))?;
+        let listener = runtime.block_on(bind(&config)).map_err(refused)?;
         let store: Arc<dyn MapStore> = Arc::new(
             SledStore::open(&directory.path, SledOptions::default())
                 .with_context(|| format!("cannot open the store in {}", directory.path.display()))?,
         );
-        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-        let server = runtime.block_on(Server::start(&config, Arc::clone(&store))).map_err(|error| match error {
-            AppError::Config(error) => Failure::Configuration(error.to_string()),
-            error => Failure::Failed(error.into()),
-        })?;
+        let started = Server::start_on(listener, &config, Arc::clone(&store));
+        let server = runtime.block_on(started).map_err(refused)?;
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
         runtime.spawn(async move {
@@ -150,7 +154,8 @@ impl Demo {
             made.robots.into_iter().filter_map(|robot| Some((robot.robot, robot.highest_sequence?))).collect();
         let mut drive = Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)), done, last: None };
         let names = (0..self.robots).map(|i| RobotName::new(&format!("robot-{i}"))).collect::<Result<Vec<_>, _>>()?;
-        let team = Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false };
+        let team =
+            Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false, unit: "scan" };
         let mut tally = team.run(&names, |hand_over, running| drive.run(&names, hand_over, running, stop));
         if let Some(error) = tally.failure.take() {
             return Err(team.client.explain(map, error));
@@ -191,7 +196,7 @@ impl Demo {
         if self.json {
             return say_json(&json!({
                 "map": team.map.as_str(), "robots": self.robots, "applied": tally.applied,
-                "rejected": tally.rejected, "revision": tally.revision,
+                "rejected": tally.rejected, "revision": tally.revision.to_string(),
                 "area_free": free, "area_occupied": occupied,
                 "examples": [
                     {"disc": {"x": x, "y": y, "radius": EXAMPLE_RADIUS}, "free": verdict(0)},

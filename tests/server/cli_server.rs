@@ -118,7 +118,7 @@ fn a_server_killed_in_the_middle_of_a_replay_ends_with_the_same_map() {
     // Once more: nothing is sent, nothing changes.
     let again = finish(replay(&server, &log, &flags)).ok().json();
     assert_eq!((&again["sent"], &again["skipped"], &again["applied"]), (&0.into(), &SCANS.into(), &0.into()));
-    assert_eq!(again["revision"].to_string(), server.show("room")["revision"].as_str().unwrap());
+    assert_eq!(again["revision"], server.show("room")["revision"], "a string, as the interface has it");
     assert_eq!(server.terminate(), 0);
 }
 
@@ -156,13 +156,15 @@ fn a_replay_gives_up_on_a_server_that_stays_away() {
     let bench = Bench::new();
     let log = bench.log(300);
     let mut server = bench.serve(ANY);
-    let sending = replay(&server, &log, &["--map", "room", "--rate", "100", "--batch", "4", "--retry-for", "1"]);
+    let sending = replay(&server, &log, &["--map", "room", "--rate", "100", "--batch", "4", "--retry-for", "4"]);
     until("some scans are applied", || {
         server.run(&["map", "show", "room", "--json"]).code == 0 && total(&server, "room") >= 8
     });
     server.child.kill().unwrap();
     server.child.wait().unwrap();
     let done = finish(sending).fails(1, "cannot reach the server at http://127.0.0.1:");
+    let told = done.stderr.lines().find(|line| line.starts_with("waiting for the server, attempt ")).unwrap();
+    assert!(told.contains(": cannot reach the server at "), "{told}");
     assert!(done.stderr.contains("the same command goes on from there"), "{done:?}");
     let acknowledged = done.json()["sent"].as_u64().unwrap();
     assert!(done.stderr.contains(&format!("stopped with {acknowledged} scans acknowledged")), "{done:?}");
@@ -179,6 +181,16 @@ fn a_damaged_log_and_rejected_scans_are_named() {
     let log = bench.log(30);
     let server = bench.serve(ANY);
     let text = std::fs::read_to_string(&log).unwrap();
+    // Nothing is made for a log without a scan that can be read.
+    for (name, text, words) in [
+        ("empty.jsonl", "", "no scans: it has no FLASER"),
+        ("bad.jsonl", "nonsense\n", "line 1"),
+        ("no.jsonl", "{}\n", "no scans"),
+    ] {
+        std::fs::write(bench.path(name), text).unwrap();
+        finish(replay(&server, &bench.text(name), &["--map", "nothing"])).fails(1, words);
+        server.run(&["map", "show", "nothing"]).fails(1, "no map 'nothing'");
+    }
     let cut = bench.text("cut.jsonl");
     std::fs::write(&cut, &text[..text.len() - 100]).unwrap();
     let done = finish(replay(&server, &cut, &["--map", "cut"])).fails(1, "line 31");
