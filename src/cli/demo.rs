@@ -17,6 +17,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -50,10 +51,10 @@ pub(super) struct Demo {
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
     /// Robots
-    #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
     robots: u16,
     /// Seconds of the building's time that pass in one of ours
-    #[arg(long, default_value_t = 4.0, value_name = "X", value_parser = super::replay::positive)]
+    #[arg(long, default_value_t = 6.0, value_name = "X", value_parser = super::replay::positive)]
     speed: f64,
     /// Map for so many seconds [default: until stopped, or 20 with --exit]
     #[arg(long, value_name = "S", value_parser = super::replay::positive)]
@@ -61,9 +62,9 @@ pub(super) struct Demo {
     /// End after the duration, with a summary; else serve on until stopped
     #[arg(long)]
     exit: bool,
-    /// Address to listen on; port 0 takes a free one
-    #[arg(long, default_value = "127.0.0.1:8080", value_name = "ADDRESS")]
-    listen: SocketAddr,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080, or a free port where that is taken]
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<SocketAddr>,
     /// Directory of the store, kept afterwards [default: a new one, deleted afterwards]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -95,7 +96,7 @@ impl Demo {
     pub(super) fn run(self) -> Result<(), Failure> {
         let directory = self.directory()?;
         let config = Config {
-            listen: self.listen,
+            listen: self.listen.unwrap_or(Config::default().listen),
             data_dir: directory.path.clone(),
             log: "warn".to_owned(),
             ..Config::default()
@@ -106,7 +107,15 @@ impl Demo {
                 .with_context(|| format!("cannot open the store in {}", directory.path.display()))?,
         );
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-        let server = runtime.block_on(Server::start(&config, Arc::clone(&store))).map_err(|error| match error {
+        let server = match runtime.block_on(Server::start(&config, Arc::clone(&store))) {
+            // Nobody asked for this port, so a free one is as good.
+            Err(AppError::Listen { source, .. }) if self.listen.is_none() && source.kind() == ErrorKind::AddrInUse => {
+                let config = Config { listen: SocketAddr::new(config.listen.ip(), 0), ..config };
+                runtime.block_on(Server::start(&config, Arc::clone(&store)))
+            }
+            started => started,
+        };
+        let server = server.map_err(|error| match error {
             AppError::Config(error) => Failure::Configuration(error.to_string()),
             error => Failure::Failed(error.into()),
         })?;
@@ -148,7 +157,8 @@ impl Demo {
         let made = client.create_map(map, &config()?).map_err(|error| client.explain(map, error))?;
         let done: BTreeMap<String, u64> =
             made.robots.into_iter().filter_map(|robot| Some((robot.robot, robot.highest_sequence?))).collect();
-        let mut drive = Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)), done, last: None };
+        let mut drive =
+            Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)).with_glass(), done, last: None };
         let names = (0..self.robots).map(|i| RobotName::new(&format!("robot-{i}"))).collect::<Result<Vec<_>, _>>()?;
         let team = Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false };
         let mut tally = team.run(&names, |hand_over, running| drive.run(&names, hand_over, running, stop));
