@@ -1,6 +1,7 @@
 //! Floor 6: the server as a whole: store, service, listener, and an orderly end.
 
 use crate::config::{Config, ConfigError, StoreKind, seconds};
+use crate::reload::{self, Watch};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
@@ -100,6 +101,8 @@ pub struct Server {
     listener: JoinHandle<()>,
     zenoh: Option<ZenohServer>,
     service: ServiceHandle,
+    /// Files that are read anew for as long as the server is there.
+    _watch: Watch,
 }
 
 /// The service, which has no debug form.
@@ -163,6 +166,7 @@ impl Server {
             header_timeout: seconds(limits.header_seconds),
             grace: config.grace(),
         };
+        let watch = Watch::start(Vec::new(), reload::LOOK).map_err(AppError::Signal)?;
         let (stop, stopped) = oneshot::channel();
         let listener = tokio::spawn(async move {
             http::serve(listener, router, &serve_limits, async {
@@ -171,7 +175,7 @@ impl Server {
             })
             .await;
         });
-        Ok(Self { address, door, stop, listener, zenoh, service: ServiceHandle(service) })
+        Ok(Self { address, door, stop, listener, zenoh, service: ServiceHandle(service), _watch: watch })
     }
 
     /// Where it listens.

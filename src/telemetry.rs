@@ -48,6 +48,7 @@ pub fn metrics_handle() -> PrometheusHandle {
             if metrics::set_global_recorder(recorder).is_err() {
                 tracing::warn!("another metrics recorder is installed: /metrics stays empty");
             }
+            crate::reload::describe_metrics();
             crate::service::describe_metrics();
             crate::transport::door::describe_metrics();
             crate::transport::grpc::describe_metrics();
