@@ -96,10 +96,9 @@ export class Tiles {
     this.refreshSoon();
   }
 
-  /** Takes tiles from elsewhere; what is drawn stays until they are there. */
+  /** Takes tiles from elsewhere; what is drawn stays until they are there. A tag is of the contents, wherever they come from. */
   from(fetchTile: Fetch): void {
     this.fetchTile = fetchTile;
-    for (const cell of this.cells.values()) cell.tag = null;
     this.changed(null);
   }
 
