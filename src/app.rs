@@ -41,7 +41,7 @@ pub enum AppError {
     #[error("cannot start the service: {0}")]
     Service(#[from] ServiceError),
     /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {source}")]
+    #[error("cannot listen on {address}: {source}{}", way_out(source))]
     Listen {
         /// The address.
         address: SocketAddr,
@@ -63,6 +63,16 @@ pub enum AppError {
     /// The listener's task ended by a panic.
     #[error("the listener failed")]
     Listener,
+}
+
+/// What helps where an address is taken.
+fn way_out(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => {
+            ": another program has it; --listen names another address, and port 0 takes a free one"
+        }
+        _ => "",
+    }
 }
 
 /// Serves until SIGTERM or SIGINT; `ready` is called with the bound address once requests are answered. What was

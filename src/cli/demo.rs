@@ -17,6 +17,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -50,10 +51,10 @@ pub(super) struct Demo {
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
     /// Robots
-    #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
     robots: u16,
     /// Seconds of the building's time that pass in one of ours
-    #[arg(long, default_value_t = 4.0, value_name = "X", value_parser = super::replay::positive)]
+    #[arg(long, default_value_t = 6.0, value_name = "X", value_parser = super::replay::positive)]
     speed: f64,
     /// Map for so many seconds [default: until stopped, or 20 with --exit]
     #[arg(long, value_name = "S", value_parser = super::replay::positive)]
@@ -61,9 +62,9 @@ pub(super) struct Demo {
     /// End after the duration, with a summary; else serve on until stopped
     #[arg(long)]
     exit: bool,
-    /// Address to listen on; port 0 takes a free one
-    #[arg(long, default_value = "127.0.0.1:8080", value_name = "ADDRESS")]
-    listen: SocketAddr,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080, or a free port where that is taken]
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<SocketAddr>,
     /// Directory of the store, kept afterwards [default: a new one, deleted afterwards]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -94,8 +95,8 @@ impl Demo {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
         let directory = self.directory()?;
-        let config = Config {
-            listen: self.listen,
+        let mut config = Config {
+            listen: self.listen.unwrap_or(Config::default().listen),
             data_dir: directory.path.clone(),
             log: "warn".to_owned(),
             ..Config::default()
@@ -107,12 +108,20 @@ impl Demo {
         };
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
         config.check().map_err(|error| refused(error.into()))?;
-        let listener = runtime.block_on(bind(&config)).map_err(refused)?;
+        let bound = match runtime.block_on(bind(&config)) {
+            // Nobody asked for this port, so a free one is as good.
+            Err(AppError::Listen { source, .. }) if self.listen.is_none() && source.kind() == ErrorKind::AddrInUse => {
+                config.listen.set_port(0);
+                runtime.block_on(bind(&config))
+            }
+            bound => bound,
+        };
+        let bound = bound.map_err(refused)?;
         let store: Arc<dyn MapStore> = Arc::new(
             SledStore::open(&directory.path, SledOptions::default())
                 .with_context(|| format!("cannot open the store in {}", directory.path.display()))?,
         );
-        let started = Server::start_on(listener, &config, Arc::clone(&store));
+        let started = Server::start_on(bound, &config, Arc::clone(&store));
         let server = runtime.block_on(started).map_err(refused)?;
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
@@ -152,7 +161,8 @@ impl Demo {
         let made = client.create_map(map, &config()?).map_err(|error| client.explain(map, error))?;
         let done: BTreeMap<String, u64> =
             made.robots.into_iter().filter_map(|robot| Some((robot.robot, robot.highest_sequence?))).collect();
-        let mut drive = Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)), done, last: None };
+        let mut drive =
+            Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)).with_glass(), done, last: None };
         let names = (0..self.robots).map(|i| RobotName::new(&format!("robot-{i}"))).collect::<Result<Vec<_>, _>>()?;
         let team =
             Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false, unit: "scan" };

@@ -327,7 +327,10 @@ fn a_bad_configuration_ends_with_64() {
 fn two_servers_do_not_share_an_address_or_a_store() {
     let bench = Bench::new();
     let server = bench.serve(ANY);
-    run(["serve", "--listen", server.address(), "--data", &bench.text("other")]).fails(1, server.address());
+    let taken = run(["serve", "--listen", server.address(), "--data", &bench.text("other")]);
+    let taken = taken.fails(1, server.address());
+    assert!(taken.stderr.contains("port 0 takes a free one"), "{taken:?}");
+    run(["demo", "--listen", server.address(), "--exit"]).fails(1, "port 0 takes a free one");
     let done = run(["serve", "--listen", ANY, "--data", &bench.text("data")]);
     assert_eq!((done.code, done.stdout.as_str()), (1, ""), "{done:?}");
     assert_eq!(server.terminate(), 0);
@@ -352,4 +355,13 @@ fn the_demo_maps_a_building_and_ends() {
     assert!(again.stdout.contains("scans applied, 0 rejected"), "{again:?}");
     assert!(again.stdout.contains("m2 proven free") && again.stdout.contains(": guaranteed free"), "{again:?}");
     run(["demo", "--robots", "0"]).fails(2, "--robots");
+}
+
+#[test]
+fn a_demo_of_which_no_port_was_asked_takes_a_free_one_where_its_own_is_taken() {
+    // Somebody else may have it as well.
+    let _taken = std::net::TcpListener::bind("127.0.0.1:8080");
+    let done = run(["demo", "--robots", "1", "--duration", "0.2", "--exit"]).ok();
+    let url = done.stdout.split_whitespace().find_map(|word| word.strip_prefix("http://127.0.0.1:"));
+    assert!(url.is_some_and(|port| !port.starts_with("8080")), "{done:?}");
 }
