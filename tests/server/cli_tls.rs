@@ -121,6 +121,25 @@ fn a_server_whose_files_cannot_be_used_ends_with_code_64_and_makes_no_store() {
 }
 
 #[test]
+fn files_are_looked_at_before_the_start_by_check() {
+    let office = Office::new();
+    let check = |more: &str| {
+        let file = settings(&office, more);
+        let flags = ["serve", "--check", "--store", "memory", "--listen", "127.0.0.1:0", "--config", &file];
+        Done::of(ubbmap().args(flags).output().unwrap())
+    };
+    let told = check("").ok().stdout;
+    assert!(told.contains("tls: the certificate of ") && told.contains("good until 2090-01-01"), "{told}");
+    let zenoh = format!("[zenoh]\nmode = \"router\"\nusers = {:?}\n", office.text("users.toml"));
+    check(&zenoh).fails(64, "setting `zenoh.users`").fails(64, "users.toml");
+    office
+        .write("users.toml", "[[user]]\nname = \"a\"\npassword = \"correct horse\"\nrole = \"read\"\nmaps = [\"*\"]\n");
+    assert!(check(&zenoh).ok().stdout.contains("zenoh: on, for 1 users"));
+    office.write("server.key", &office.ca.sign(&Leaf::server()).key);
+    check("").fails(64, "setting `tls.key`");
+}
+
+#[test]
 fn a_hangup_reads_the_certificate_anew_and_ends_no_server() {
     let office = Office::new();
     let server = serve(&office, "");

@@ -5,11 +5,16 @@
 mod access_life;
 mod access_routes;
 mod access_support;
+mod bag_support;
+mod bags;
+mod bags_refused;
 mod cli_access;
 mod cli_build;
 mod cli_experiment;
 mod cli_files;
+mod cli_help;
 mod cli_picture;
+mod cli_preflight;
 mod cli_server;
 mod cli_store;
 mod cli_support;

@@ -125,10 +125,16 @@ impl Tls {
     /// [`TlsError`]
     pub fn reload(&self) -> Result<String, TlsError> {
         let current = read(&self.0.settings)?;
-        let until = humantime::format_rfc3339_seconds(current.until);
         self.0.current.store(Arc::new(current));
         self.note_metrics();
-        Ok(format!("the certificate of {}, good until {until}", self.0.settings.cert.display()))
+        Ok(self.describe())
+    }
+
+    /// What is in use, in a few words.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        let until = humantime::format_rfc3339_seconds(self.0.current.load().until);
+        format!("the certificate of {}, good until {until}", self.0.settings.cert.display())
     }
 
     /// Seconds until the server's certificate, or one between it and an authority, runs out; below zero one has.
