@@ -244,7 +244,7 @@ impl Site {
 }
 
 /// Waits until something holds; it must within some seconds.
-pub fn until(what: &str, holds: impl Fn() -> bool) {
+pub fn until(what: &str, mut holds: impl FnMut() -> bool) {
     for _ in 0..1000 {
         if holds() {
             return;
