@@ -166,7 +166,7 @@ fn handshakes_that_are_never_done_end_and_hold_up_nobody() {
     let office = Office::new();
     let mut site = Site::with(|config| {
         office.settings(config, ClientCertificates::Off);
-        config.limits.header_seconds = 1.0;
+        config.limits.header_seconds = 3.0;
         config.limits.connections = 4;
     });
     site.agent = agent(&office.ca.pem, None);
