@@ -1,7 +1,9 @@
 //! Floor 6: the server as a whole: store, service, listener, and an orderly end.
 
+mod files;
+
 use crate::config::{Config, ConfigError, StoreKind, seconds};
-use crate::reload::{self, Watch, Watched};
+use crate::reload::{self, Watch};
 use crate::service::{MapService, ServiceError};
 use crate::store::{MapStore, MemoryStore, SledOptions, SledStore, StoreError};
 use crate::telemetry;
@@ -9,10 +11,11 @@ use crate::transport::access::{Access, Guarded, Listener};
 use crate::transport::door::{Door, DoorSettings};
 use crate::transport::grpc::{self, GrpcSettings};
 use crate::transport::http::{self, HttpSettings, OutsideView, ServeLimits};
+use crate::transport::tls::Tls;
 use crate::transport::zenoh::{Reachable, ZenohError, ZenohServer};
 use axum::Router;
 use std::net::SocketAddr;
-use std::sync::{Arc, OnceLock, Weak};
+use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 use tokio::net::TcpListener;
@@ -54,6 +57,9 @@ pub enum AppError {
     /// The interface's description, which reflection serves, cannot be read.
     #[error("cannot serve the description of the interface: {0}")]
     Reflection(tonic_reflection::server::Error),
+    /// Reading files ended in a panic, which the log tells.
+    #[error("cannot read the files that the settings name: reading them failed")]
+    Files,
     /// The listener's task ended by a panic.
     #[error("the listener failed")]
     Listener,
@@ -68,6 +74,8 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     // Before anything is opened, so that a signal during the start is not lost.
     let stop = stop_signal().map_err(AppError::Signal)?;
     config.check()?;
+    // Read again when the server starts; a fault in the files should not wait for a large store.
+    files::tls(&config).await?;
     let store = open_store(&config).await?;
     let open = Arc::downgrade(&store);
     let server = Server::start(&config, store).await?;
@@ -91,6 +99,7 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
 /// A running server.
 #[derive(Debug)]
 pub struct Server {
+    secure: bool,
     public: Listening,
     administration: Option<Listening>,
     access: Access,
@@ -123,10 +132,11 @@ impl Listening {
         kind: Listener,
         router: Router,
         limits: ServeLimits,
+        tls: Option<Tls>,
     ) -> Self {
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {
-            http::serve(listener, kind, router, &limits, async {
+            http::serve(listener, kind, router, &limits, tls, async {
                 // A dropped handle stops the server as well.
                 let _ = stopped.await;
             })
@@ -159,6 +169,7 @@ impl Server {
     pub async fn start(config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
         config.check()?;
         let metrics = telemetry::metrics_handle();
+        let (tls, mut watched) = files::tls(config).await?;
         let service = MapService::open(store, config.service_settings())?;
         let limits = &config.limits;
         let door = Door::new(DoorSettings {
@@ -168,22 +179,27 @@ impl Server {
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
         });
-        let (access, watched) = access(config)?;
+        let (access, tokens) = files::access(config)?;
+        watched.extend(tokens);
         let public = Listening::bind(config.listen).await?;
         let administration = match config.administration()? {
             Some(address) => Some(Listening::bind(address).await?),
             None => None,
         };
         let guarded = Guarded::new(service.clone(), access.clone());
-        let zenoh = match config.zenoh_settings() {
-            Some(settings) => Some(ZenohServer::start(service.clone(), guarded.clone(), door.clone(), settings).await?),
+        let zenoh = match files::zenoh(config, &access)? {
+            Some((settings, users)) => {
+                watched.extend(users);
+                Some(ZenohServer::start(service.clone(), guarded.clone(), door.clone(), settings).await?)
+            }
             None => None,
         };
         let reached = zenoh.as_ref().map(ZenohServer::reachable).cloned();
-        let counted = service.clone();
+        let (counted, timed) = (service.clone(), tls.clone());
         let outside = OutsideView {
             metrics: Box::new(move || {
                 counted.note_metrics();
+                timed.iter().for_each(Tls::note_metrics);
                 metrics.render()
             }),
             reachable: Box::new(move || reached.as_ref().is_none_or(Reachable::now)),
@@ -195,11 +211,13 @@ impl Server {
             grace: config.grace(),
         };
         let watch = Watch::start(watched, reload::LOOK).map_err(AppError::Signal)?;
+        let secure = tls.is_some();
         let kind = if administration.is_some() { Listener::Public } else { Listener::Only };
-        let administration = administration
-            .map(|bound| Listening::serve(bound, Listener::Administration, router.clone(), serve_limits.clone()));
-        let public = Listening::serve(public, kind, router, serve_limits);
-        Ok(Self { public, administration, access, door, zenoh, service: ServiceHandle(service), _watch: watch })
+        let administration = administration.map(|bound| {
+            Listening::serve(bound, Listener::Administration, router.clone(), serve_limits.clone(), tls.clone())
+        });
+        let public = Listening::serve(public, kind, router, serve_limits, tls);
+        Ok(Self { secure, public, administration, access, door, zenoh, service: ServiceHandle(service), _watch: watch })
     }
 
     /// Where it listens.
@@ -232,7 +250,7 @@ impl Server {
     /// Its address as clients write it, without a slash at the end.
     #[must_use]
     pub fn url(&self) -> String {
-        format!("http://{}", self.public.address)
+        format!("{}://{}", if self.secure { "https" } else { "http" }, self.public.address)
     }
 
     /// Its part in a network of Zenoh, where it has one.
@@ -266,20 +284,6 @@ impl Server {
         self.service.0.drain().await;
         public.and(administration)
     }
-}
-
-/// Who may come in, and the file that says so, to be read anew.
-fn access(config: &Config) -> Result<(Access, Vec<Watched>), AppError> {
-    let reading: Arc<OnceLock<Access>> = Arc::default();
-    let read = Arc::clone(&reading);
-    // Before the first reading, so that no change is missed.
-    let watched = config.tokens_file().map(|file| {
-        let reload = move || read.get().map_or(Ok("nothing yet".to_owned()), Access::reload);
-        Watched::new("tokens", vec![file.to_owned()], reload)
-    });
-    let access = config.access()?;
-    let access = reading.get_or_init(|| access).clone();
-    Ok((access, watched.into_iter().collect()))
 }
 
 /// The routes of REST and gRPC.

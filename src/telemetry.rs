@@ -54,6 +54,7 @@ pub fn metrics_handle() -> PrometheusHandle {
             crate::transport::door::describe_metrics();
             crate::transport::grpc::describe_metrics();
             crate::transport::http::describe_metrics();
+            crate::transport::tls::describe_metrics();
             crate::transport::zenoh::describe_metrics();
             handle
         })

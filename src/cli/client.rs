@@ -1,6 +1,7 @@
 //! The one HTTP client of the command line: protobuf bodies over REST, blocking.
 
 use super::output::Failure;
+use super::secure::{self, SecureOptions};
 use crate::mapping::MapConfig;
 use crate::store::{MapName, SnapshotName};
 use crate::transport::http::Problem;
@@ -52,6 +53,8 @@ pub(super) struct ServerOptions {
     /// A file that holds the token [default: $UBBMAP_TOKEN_FILE]
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
+    #[command(flatten)]
+    secure: SecureOptions,
 }
 
 /// A token for the server. It is in no message of an error and in no debug form.
@@ -111,6 +114,14 @@ pub(super) enum ClientError {
         /// Why.
         why: String,
     },
+    /// No connection that both sides trust.
+    #[error("no trusted connection to {server}: {why}")]
+    NotTrusted {
+        /// Its address.
+        server: String,
+        /// Why.
+        why: String,
+    },
     /// The server refused.
     #[error("{detail} ({code})")]
     Refused {
@@ -134,7 +145,7 @@ impl ClientError {
         match self {
             Self::Unreachable { .. } => true,
             Self::Refused { status, .. } => matches!(status, 429 | 502..=504),
-            Self::NotUnderstood(_) => false,
+            Self::NotTrusted { .. } | Self::NotUnderstood(_) => false,
         }
     }
 
@@ -162,20 +173,35 @@ impl Client {
     /// A client of the server that the flags or the environment name.
     pub(super) fn new(options: &ServerOptions) -> Result<Self, Failure> {
         let server = options.server.clone().or_else(|| std::env::var("UBBMAP_SERVER").ok());
-        let client = Self::of(server.as_deref().unwrap_or(DEFAULT_SERVER))?;
+        let server = server.as_deref().unwrap_or(DEFAULT_SERVER);
+        if options.secure.any() && server.starts_with("http://") {
+            let problem = format!("--ca, --cert and --key are for a server of https://, and this is {server}");
+            return Err(Failure::Usage(problem));
+        }
+        let client = Self::with(server, &options.secure.with_environment())?;
         Ok(Self { token: options.token()?, ..client })
     }
 
-    /// A client of a server, without a token.
+    /// A client of a server without TLS and without a token.
     ///
     /// # Errors
     /// Bad usage for what is no URL.
     pub(super) fn of(server: &str) -> Result<Self, Failure> {
+        Self::with(server, &SecureOptions::default())
+    }
+
+    fn with(server: &str, secure: &SecureOptions) -> Result<Self, Failure> {
         let server = server.trim_end_matches('/');
-        if !server.starts_with("http://") {
-            return Err(Failure::Usage(format!("--server {server:?} must be a URL that begins with http://")));
+        let tls = server.starts_with("https://");
+        if !tls && !server.starts_with("http://") {
+            let problem = format!("--server {server:?} must be a URL that begins with http:// or https://");
+            return Err(Failure::Usage(problem));
         }
-        let config = ureq::Agent::config_builder()
+        let mut config = ureq::Agent::config_builder();
+        if tls {
+            config = config.tls_config(secure.config()?);
+        }
+        let config = config
             .http_status_as_error(false)
             .timeout_global(Some(REQUEST_TIMEOUT))
             .timeout_connect(Some(Duration::from_secs(5)))
@@ -337,7 +363,10 @@ impl Client {
         &self.agent
     }
 
-    pub(super) fn unreachable(&self, why: &dyn std::fmt::Display) -> ClientError {
+    pub(super) fn unreachable(&self, why: &(dyn std::error::Error + 'static)) -> ClientError {
+        if let Some(why) = secure::fault(why) {
+            return ClientError::NotTrusted { server: self.server.clone(), why };
+        }
         ClientError::Unreachable { server: self.server.clone(), why: why.to_string() }
     }
 

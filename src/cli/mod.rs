@@ -10,6 +10,7 @@ mod mapper;
 mod options;
 mod output;
 mod replay;
+mod secure;
 mod serve;
 mod snapshots;
 mod store;

@@ -47,9 +47,10 @@ impl Serve {
         let config = self.settings()?;
         telemetry::init(&config.log, config.log_format);
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+        let scheme = if config.tls_settings().is_some() { "https" } else { "http" };
         let served = runtime.block_on(app::serve(config, |address| {
             // Without a reader of the line the server serves all the same.
-            let _ = say(&format!("ubbmap listening on http://{address}"));
+            let _ = say(&format!("ubbmap listening on {scheme}://{address}"));
         }));
         match served {
             Ok(()) => Ok(()),

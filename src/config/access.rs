@@ -1,6 +1,6 @@
 //! Settings of who may come in.
 
-use super::{Config, ConfigError};
+use super::{ClientCertificates, Config, ConfigError};
 use crate::transport::access::{Access as Guard, RollError};
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
@@ -22,7 +22,7 @@ impl Config {
     pub(super) fn check_access(&self) -> Result<(), ConfigError> {
         let administration = self.administration()?;
         for address in std::iter::once(self.listen).chain(administration) {
-            if !is_loopback(address) && !self.insecure && self.tokens_file().is_none() {
+            if !is_loopback(address) && !self.insecure && self.tokens_file().is_none() && !self.wants_certificates() {
                 return Err(ConfigError::NotLoopback(address));
             }
         }
@@ -60,10 +60,15 @@ impl Config {
             Some(file) => Guard::from_file(file).map_err(ConfigError::Tokens),
             None => {
                 let administration = self.administration()?;
-                let strangers = std::iter::once(self.listen).chain(administration).any(|address| !is_loopback(address));
-                Ok(Guard::open(strangers))
+                let beyond = std::iter::once(self.listen).chain(administration).any(|address| !is_loopback(address));
+                Ok(Guard::open(beyond && !self.wants_certificates()))
             }
         }
+    }
+
+    /// True where nobody comes in without a certificate.
+    fn wants_certificates(&self) -> bool {
+        self.tls.client_auth == ClientCertificates::Required
     }
 
     /// The file of tokens, where there is one.

@@ -45,7 +45,7 @@ pub enum ConfigError {
     /// An address beyond loopback, and nothing that keeps strangers out.
     #[error(
         "listening on {0} would let anyone who reaches it read and change every map: listen on a loopback address such \
-         as 127.0.0.1, say who may come in (`ubbmap token create --file F`, setting `access.tokens = \"F\"`), or say --insecure \
+         as 127.0.0.1, say who may come in (`ubbmap token create --file F`, setting `access.tokens = \"F\"`), ask for certificates (setting `tls.client_auth = \"required\"`), or say --insecure \
          (setting `insecure = true`) if the network itself is trusted"
     )]
     NotLoopback(SocketAddr),

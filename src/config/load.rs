@@ -7,8 +7,17 @@ use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
 /// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
-const OTHER_VARIABLES: [&str; 6] =
-    ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_TOKEN_FILE", "UBBMAP_VIEWER"];
+const OTHER_VARIABLES: [&str; 9] = [
+    "UBBMAP_CA",
+    "UBBMAP_CERT",
+    "UBBMAP_CONFIG",
+    "UBBMAP_DATA",
+    "UBBMAP_KEY",
+    "UBBMAP_SERVER",
+    "UBBMAP_TOKEN",
+    "UBBMAP_TOKEN_FILE",
+    "UBBMAP_VIEWER",
+];
 
 /// What variables of the environment begin with.
 const PREFIX: &str = "UBBMAP_";
@@ -102,7 +111,9 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
-        self.zenoh.check(self.insecure)?;
+        self.tls.check()?;
+        let client_auth = (!self.tls.cert.is_empty()).then_some(self.tls.client_auth);
+        self.zenoh.check(self.insecure, client_auth)?;
         self.check_access()
     }
 }

@@ -7,6 +7,7 @@ mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod tls;
 mod zenoh;
 
 use crate::mapping::RegionLimits;
@@ -20,6 +21,7 @@ use std::time::Duration;
 
 pub use access::Access;
 pub use error::ConfigError;
+pub use tls::{ClientCertificates, Tls};
 pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
@@ -70,6 +72,8 @@ pub struct Config {
     pub rewrite: Rewrite,
     /// One map's writer.
     pub writer: Writer,
+    /// TLS of the listener.
+    pub tls: Tls,
     /// The transport over Zenoh.
     pub zenoh: Zenoh,
     /// The end of the server.
@@ -193,6 +197,7 @@ impl Default for Config {
             cache: Cache::default(),
             rewrite: Rewrite::default(),
             writer: Writer::default(),
+            tls: Tls::default(),
             zenoh: Zenoh::default(),
             shutdown: Shutdown::default(),
         }

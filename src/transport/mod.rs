@@ -10,5 +10,6 @@ pub mod operations;
 pub mod parameters;
 mod scan_stream;
 pub mod status;
+pub mod tls;
 mod watching;
 pub mod zenoh;

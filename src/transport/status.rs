@@ -81,6 +81,7 @@ pub fn status(kind: ErrorKind) -> Status {
         ErrorKind::ShuttingDown => retry(503, "The server is shutting down", Grpc::Unavailable, 5),
         ErrorKind::Timeout => retry(503, "The request took too long", Grpc::DeadlineExceeded, 1),
         ErrorKind::AnotherServer => retry(503, "Another server is on the same keys", Grpc::Unavailable, 5),
+        ErrorKind::TlsRequired => refused(400, "TLS is required", Grpc::Unavailable),
         ErrorKind::MapDamaged => failed("The map's stored data is damaged", Grpc::DataLoss),
         ErrorKind::StoreFailed => failed("The store failed", Grpc::Internal),
         ErrorKind::Internal => failed("The server failed", Grpc::Internal),

@@ -24,7 +24,7 @@ MAP = "/v1/maps/figures"
 BOX = "min_x=-2&min_y=-2&max_x=6&max_y=5"
 
 # Metrics of servers with TLS or tokens, which the one that is looked at has not: neither shown by it nor to be drawn.
-ELSEWHERE = {"ubbmap_reloads_total"}
+ELSEWHERE = {"ubbmap_reloads_total", "ubbmap_tls_certificate_expiry_seconds", "ubbmap_tls_handshakes_total"}
 
 # Rates need two scrapes, and rates over what begins with the first of them a third.
 SCRAPES = 4

@@ -3,8 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "a test may end where its ground is not as it should be")]
 
 use crate::service_support::map_name;
+use std::time::{Duration, SystemTime};
 use ubbmap::service::ErrorKind;
 use ubbmap::transport::access::{Access, MapScope, Operation, Peer, Reach, Role, Roll, Secret, Shown, TokenHash};
+use ubbmap::transport::tls::Named;
 
 const HASH: &str = "2c26b46b68ffc68ff99b453c1d30413413422d706483bfa0f98a5e886266e7ae";
 
@@ -102,7 +104,8 @@ fn a_certificate_is_known_by_its_name_where_no_token_is_shown() {
         + "[[certificate]]\nname = \"amr-7.fleet\"\nrole = \"write\"\nmaps = [\"hall\"]\nrobot = \"amr-7\"\n";
     std::fs::write(&file, text).unwrap();
     let access = Access::from_file(&file).unwrap();
-    let peer = |name: &str| Peer { certificate: Some(name.into()), ..Peer::default() };
+    let shown = |name: &str, until| Peer { certificate: Some(Named { name: name.into(), until }), ..Peer::default() };
+    let peer = |name: &str| shown(name, SystemTime::now() + Duration::from_secs(3600));
     let caller = access.identify(Shown::Nothing, &peer("amr-7.fleet")).unwrap();
     assert_eq!((caller.name(), caller.grant().role), ("amr-7.fleet", Role::Write));
     caller.may(Operation::InsertScans, &map_name("hall")).unwrap();
@@ -112,6 +115,9 @@ fn a_certificate_is_known_by_its_name_where_no_token_is_shown() {
     // What is shown on purpose stands above what the connection has; a wrong one is not passed over.
     assert_eq!(access.identify(Shown::Token("foo"), &peer("amr-7.fleet")).unwrap().name(), "a");
     assert!(access.identify(Shown::Token("bar"), &peer("amr-7.fleet")).is_err());
+    // What it may do ends with the certificate.
+    let over = access.identify(Shown::Nothing, &shown("amr-7.fleet", SystemTime::UNIX_EPOCH)).unwrap_err();
+    assert!(over.detail.contains("expired"), "{over:?}");
     // A token does not come in as a certificate of its name, nor the other way round.
     assert!(access.identify(Shown::Nothing, &peer("a")).is_err());
     assert!(access.identify(Shown::Token("amr-7.fleet"), &Peer::default()).is_err());

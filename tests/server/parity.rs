@@ -365,13 +365,14 @@ fn a_damaged_map_is_the_same_on_all_transports() {
 }
 
 /// Kinds that not every transport knows, and where their tests are.
-const ELSEWHERE: [ErrorKind; 6] = [
+const ELSEWHERE: [ErrorKind; 7] = [
     ErrorKind::Unauthenticated,      // access_routes
     ErrorKind::PermissionDenied,     // access_routes
     ErrorKind::UnsupportedMediaType, // http_scans
     ErrorKind::NotAcceptable,        // http_queries
     ErrorKind::MethodNotAllowed,     // http_system
     ErrorKind::AnotherServer,        // zenoh_calls
+    ErrorKind::TlsRequired,          // tls_calls
 ];
 
 /// Every kind; one that is added does not compile until it has its place here.
@@ -407,7 +408,8 @@ fn every_kind() -> Vec<ErrorKind> {
         Kind::Busy => Some(Kind::ShuttingDown),
         Kind::ShuttingDown => Some(Kind::Timeout),
         Kind::Timeout => Some(Kind::AnotherServer),
-        Kind::AnotherServer => Some(Kind::MapDamaged),
+        Kind::AnotherServer => Some(Kind::TlsRequired),
+        Kind::TlsRequired => Some(Kind::MapDamaged),
         Kind::MapDamaged => Some(Kind::StoreFailed),
         Kind::StoreFailed => Some(Kind::Internal),
         Kind::Internal => None,

@@ -325,7 +325,10 @@ async fn over_zenoh(session: &Session, call: &Call) -> Outcome {
         Call::GetMap(r) => zenoh_call::<v1::GetMapResponse>(session, &map(&r.map, ""), r).await,
         Call::ListMaps => zenoh_call::<v1::ListMapsResponse>(session, "ubbmap/*", &v1::ListMapsRequest {}).await,
         Call::DeleteMap(r) => zenoh_call::<v1::DeleteMapResponse>(session, &map(&r.map, "/delete"), r).await,
-        Call::InsertScans(r) => zenoh_call::<v1::InsertScansResponse>(session, &map(&r.map, "/insert/amr-7"), r).await,
+        Call::InsertScans(r) => {
+            let robot = r.scans.first().map_or("amr-7", |scan| scan.robot.as_str());
+            zenoh_call::<v1::InsertScansResponse>(session, &map(&r.map, &format!("/insert/{robot}")), r).await
+        }
         Call::GetClasses(r) => zenoh_call::<v1::GetClassesResponse>(session, &map(&r.map, "/classes"), r).await,
         Call::GetRegion(r) => zenoh_call::<v1::GetRegionResponse>(session, &map(&r.map, "/region"), r).await,
         Call::GetGrid(r) => zenoh_call::<v1::GetGridResponse>(session, &map(&r.map, "/grid"), r).await,

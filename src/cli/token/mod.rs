@@ -193,7 +193,7 @@ impl Revoke {
 fn kind(proof: &Proof) -> &'static str {
     match proof {
         Proof::Token(_) => "token",
-        Proof::Certificate(_) => "certificate",
+        Proof::Certificate { .. } => "certificate",
     }
 }
 

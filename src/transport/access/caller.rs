@@ -161,6 +161,14 @@ impl Caller {
         Self { identity: Arc::new(identity), administers: true }
     }
 
+    /// Somebody who comes in by this caller's entry, by a name and with a grant of their own: both end together.
+    #[must_use]
+    pub fn shown_as(&self, name: impl Into<String>, grant: Grant) -> Self {
+        let revoked = self.identity.revoked.child_token();
+        let identity = Identity { name: name.into(), grant, revoked };
+        Self { identity: Arc::new(identity), administers: self.administers }
+    }
+
     /// Whoever comes to a server that asks for nothing.
     #[must_use]
     pub fn anyone(name: impl Into<String>) -> Self {

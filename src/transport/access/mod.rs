@@ -13,6 +13,7 @@ mod roll;
 mod token;
 
 use crate::service::ServiceError;
+use crate::transport::tls::Named;
 use arc_swap::ArcSwap;
 use metrics::{describe_gauge, gauge};
 use refusals::Refusals;
@@ -59,8 +60,8 @@ pub enum Listener {
 pub struct Peer {
     /// The other end.
     pub address: Option<SocketAddr>,
-    /// The name in the certificate that the other end has proven to hold.
-    pub certificate: Option<Arc<str>>,
+    /// Whom the certificate names that the other end has proven to hold.
+    pub certificate: Option<Named>,
     /// Where it came in.
     pub listener: Listener,
 }
@@ -152,6 +153,16 @@ impl Access {
         Self(Arc::new(Inner { mode, refusals: Refusals::default() }))
     }
 
+    /// What holders of certificates may do, by their whole names: for an access control that cannot ask for each message. Entries
+    /// for beginnings of names, and those that have expired, are not among them, which is said in the log. None without a file.
+    #[must_use]
+    pub fn certificates(&self) -> Option<Vec<(String, Grant)>> {
+        match &self.0.mode {
+            Mode::Open { .. } => None,
+            Mode::File(file) => Some(file.roll.load().certificates()),
+        }
+    }
+
     /// True where strangers reach the server and nothing is asked of them.
     #[must_use]
     pub fn is_insecure(&self) -> bool {
@@ -164,7 +175,13 @@ impl Access {
     /// [`crate::service::ErrorKind::Unauthenticated`]
     pub fn identify(&self, shown: Shown<'_>, peer: &Peer) -> Result<Caller, ServiceError> {
         let caller = match &self.0.mode {
-            Mode::Open { caller, .. } => Ok(caller.clone()),
+            Mode::Open { caller, .. } => Ok(match &peer.certificate {
+                None => caller.clone(),
+                Some(shown) => {
+                    let grant = Grant { expires: Some(shown.until), ..Grant::everything() };
+                    caller.shown_as(&*shown.name, grant)
+                }
+            }),
             Mode::File(file) => file.identify(shown, peer),
         };
         let caller = caller.map_err(|refused| self.note(refused, peer))?;
@@ -192,8 +209,8 @@ impl Access {
 impl FromFile {
     fn identify(&self, shown: Shown<'_>, peer: &Peer) -> Result<Caller, Refused> {
         let roll = self.roll.load();
-        let found = match (shown, &peer.certificate) {
-            (Shown::Token(token), _) => roll.by_token(token).ok_or_else(|| {
+        let found: Result<Caller, Refused> = match (shown, &peer.certificate) {
+            (Shown::Token(token), _) => roll.by_token(token).cloned().ok_or_else(|| {
                 Refused::unknown(Reason::Unknown, "the token is not known to this server").at("authorization")
             }),
             (Shown::Other, _) => Err(Refused::unknown(
@@ -201,8 +218,8 @@ impl FromFile {
                 format!("the header authorization must be one line \"Bearer {PREFIX}...\""),
             )
             .at("authorization")),
-            (Shown::Nothing, Some(name)) => roll.by_certificate(name).ok_or_else(|| {
-                let name: String = name.chars().take(80).collect();
+            (Shown::Nothing, Some(named)) => roll.by_certificate(named).ok_or_else(|| {
+                let name: String = named.name.chars().take(80).collect();
                 Refused::unknown(
                     Reason::Unknown,
                     format!("the certificate's name {name:?} is not known to this server"),
@@ -215,7 +232,7 @@ impl FromFile {
         };
         let caller = found?;
         caller.live().map_err(|refused| refused.at("authorization"))?;
-        Ok(caller.clone())
+        Ok(caller)
     }
 
     fn reload(&self) -> Result<String, String> {

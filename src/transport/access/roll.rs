@@ -3,6 +3,7 @@
 use super::caller::{Caller, Grant, MapScope, Role};
 use super::token::TokenHash;
 use crate::store::RobotName;
+use crate::transport::tls::Named;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -14,6 +15,9 @@ pub(super) const MOST_BYTES: u64 = 4 << 20;
 
 /// Most entries: each request is compared with all of them.
 const MOST_ENTRIES: usize = 10_000;
+
+/// What stands for any robot where a certificate's own is what is meant by saying nothing.
+const ANY_ROBOT: &str = "*";
 
 /// Longest name of an entry, characters.
 const LONGEST_NAME: usize = 80;
@@ -45,14 +49,21 @@ pub enum Proof {
     /// A token with this hash.
     Token(TokenHash),
     /// A client certificate with this name, signed by the authority that the listener trusts.
-    Certificate(String),
+    Certificate {
+        /// The name, or the beginning of names with `*` behind it.
+        name: String,
+        /// It sends scans of the robot of the certificate's own name.
+        own_robot: bool,
+    },
 }
 
 impl Proof {
     fn equals(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Token(own), Self::Token(other)) => own.equals(other),
-            (Self::Certificate(own), Self::Certificate(other)) => own == other,
+            (Self::Certificate { name, own_robot }, Self::Certificate { name: other, own_robot: its }) => {
+                name == other && own_robot == its
+            }
             _ => false,
         }
     }
@@ -154,11 +165,47 @@ impl Roll {
         found
     }
 
-    /// The caller that shows a certificate with this name.
+    /// The caller that shows a certificate: by the entry of its whole name, else by that of its longest beginning. What it may do
+    /// ends when the certificate runs out, if not before.
     #[must_use]
-    pub fn by_certificate(&self, name: &str) -> Option<&Caller> {
-        let of_name = |entry: &&Entry| matches!(&entry.proof, Proof::Certificate(known) if known == name);
-        self.entries.iter().find(of_name).map(|entry| &entry.caller)
+    pub fn by_certificate(&self, shown: &Named) -> Option<Caller> {
+        let fit = |entry: &Entry| match &entry.proof {
+            Proof::Certificate { name, .. } if **name == *shown.name => Some(usize::MAX),
+            Proof::Certificate { name, .. } => {
+                let beginning = name.strip_suffix('*')?;
+                shown.name.starts_with(beginning).then_some(beginning.len())
+            }
+            Proof::Token(_) => None,
+        };
+        let (entry, _) =
+            self.entries.iter().filter_map(|entry| Some((entry, fit(entry)?))).max_by_key(|(_, length)| *length)?;
+        let mut grant = entry.caller.grant().clone();
+        if matches!(&entry.proof, Proof::Certificate { own_robot: true, .. }) {
+            // A name that no robot can have is not taken for any robot's.
+            grant.robot = Some(RobotName::new(&shown.name).ok()?);
+        }
+        grant.expires = Some(grant.expires.map_or(shown.until, |expires| expires.min(shown.until)));
+        Some(entry.caller.shown_as(&*shown.name, grant))
+    }
+
+    /// Certificates by their whole names, with what each may do.
+    #[must_use]
+    pub fn certificates(&self) -> Vec<(String, Grant)> {
+        let mut whole = Vec::new();
+        for entry in &self.entries {
+            let Proof::Certificate { name, own_robot } = &entry.proof else { continue };
+            let mut grant = entry.caller.grant().clone();
+            if name.ends_with('*') || entry.caller.live().is_err() {
+                tracing::warn!(name, "not over Zenoh: it knows certificates by whole names, and until a restart");
+                continue;
+            }
+            if *own_robot {
+                let Ok(robot) = RobotName::new(name) else { continue };
+                grant.robot = Some(robot);
+            }
+            whole.push((name.clone(), grant));
+        }
+        whole
     }
 
     /// Takes the place of an earlier roll: entries that are as they were keep their caller, so their streams go on; the
@@ -180,16 +227,22 @@ impl Roll {
 
 impl Written {
     fn entry(self, token: bool) -> Result<Entry, String> {
+        let role: Role = self.role.parse()?;
+        // A certificate's name is that of the robot, if nothing else is said.
+        let own_robot = !token && role == Role::Write && self.robot.is_none();
         let proof = match (token, &self.sha256) {
             (true, Some(hash)) => Proof::Token(hash.parse().map_err(|problem| format!("sha256 {problem}"))?),
             (true, None) => return Err("sha256 is missing".to_owned()),
-            (false, None) => Proof::Certificate(self.name.clone()),
+            (false, None) => Proof::Certificate { name: self.name.clone(), own_robot },
             (false, Some(_)) => return Err("sha256 is for tokens: a certificate is known by its name".to_owned()),
         };
         entry_name(&self.name)?;
-        let role: Role = self.role.parse()?;
+        if own_robot && !self.name.ends_with('*') && RobotName::new(&self.name).is_err() {
+            return Err("its name is no robot's name: say whose scans it sends with robot, or \"*\" for any".to_owned());
+        }
         let maps = MapScope::new(&self.maps)?;
-        let robot = self.robot.map(|robot| RobotName::new(&robot)).transpose().map_err(|error| error.to_string())?;
+        let robot = self.robot.filter(|robot| token || robot != ANY_ROBOT);
+        let robot = robot.map(|robot| RobotName::new(&robot)).transpose().map_err(|error| error.to_string())?;
         let expires = self.expires.map(|time| expiry(&written(time))).transpose()?;
         Ok(Entry { proof, caller: Caller::new(self.name, Grant { role, maps, robot, expires }) })
     }

@@ -5,14 +5,17 @@
 //! full the sender is told that the server is busy.
 
 mod gaps;
+mod guard;
 mod keys;
 mod probe;
 mod publish;
 mod queries;
 mod reply;
 mod rivals;
+mod rules;
 mod scans;
 mod settings;
+mod users;
 #[cfg(test)]
 mod zenoh_tests;
 
@@ -23,6 +26,7 @@ use ::zenoh::Session;
 use ::zenoh::liveliness::LivelinessToken;
 use ::zenoh::pubsub::Subscriber;
 use ::zenoh::query::{Query, Queryable};
+use guard::Guard;
 use metrics::{counter, describe_counter};
 use queries::Asked;
 use reply::{Replies, Reply};
@@ -34,7 +38,8 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_util::task::TaskTracker;
 
 pub use probe::Reachable;
-pub use settings::{Mode, ZenohSettings};
+pub use settings::{Mode, ZenohSettings, ZenohTls};
+pub use users::{User, parse as parse_users, read as read_users};
 
 /// Queries that wait to be told that the server is busy; those beyond are dropped, and their clients' time runs out.
 const REFUSALS: usize = 256;
@@ -129,7 +134,10 @@ impl ZenohServer {
     ) -> Result<Self, ZenohError> {
         let failed = |error: ::zenoh::Error| ZenohError::Session(error.to_string());
         let prefix = settings.prefix.clone();
-        let session = ::zenoh::open(settings::session(&settings)?).await.map_err(failed)?;
+        let guard = Guard::new(&settings)?;
+        let (config, passwords) = settings::session(&settings, &guard)?;
+        let session = ::zenoh::open(config).await.map_err(failed)?;
+        drop(passwords);
         rivals::alone(&session, &prefix).await?;
         let id = session.zid().to_string();
         let own = rivals::token(&prefix, &id);
@@ -167,9 +175,13 @@ impl ZenohServer {
             .await
             .map_err(failed)?;
         let token = session.liveliness().declare_token(own).await.map_err(failed)?;
-        let locators: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
-        let endpoints = if locators.is_empty() { &context.settings.connect } else { &locators };
-        let reachable = probe::start(&context.settings, endpoints, health, context.door.clone()).await?;
+        let mut locators: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
+        let endpoints = asked_endpoints(&context.settings, &locators);
+        let reachable = probe::start(&context.settings, &guard, &endpoints, health, context.door.clone()).await?;
+        if guard.inner().is_some() {
+            // It is nobody's affair.
+            locators.retain(|locator| guard::is_tls(locator));
+        }
         tokio::spawn(publish::run(session.clone(), service, context.door.clone(), prefix));
         let (queryables, subscribers) = ([queries, asked], [others, scans]);
         Ok(Self { session, id, locators, reachable, token, queryables, subscribers, tracker, sending })
@@ -232,6 +244,15 @@ fn queues(context: &Arc<Context>, tracker: &TaskTracker) -> (Inbox, mpsc::Sender
     let (samples, receiver) = mpsc::channel(queue);
     tracker.spawn(scans::run(receiver, Arc::clone(context), places(in_flight), tracker.clone()));
     (inbox, samples)
+}
+
+/// Where the health check connects: as any client would, but not by TLS of our own settings, which is made for others.
+fn asked_endpoints(settings: &ZenohSettings, locators: &[String]) -> Vec<String> {
+    if locators.is_empty() {
+        return settings.connect.clone();
+    }
+    let plain = |locator: &&String| settings.tls.is_none() || !guard::is_tls(locator);
+    locators.iter().filter(plain).cloned().collect()
 }
 
 fn places(count: usize) -> Arc<Semaphore> {
