@@ -41,7 +41,7 @@ pub enum AppError {
     #[error("cannot start the service: {0}")]
     Service(#[from] ServiceError),
     /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {source}")]
+    #[error("cannot listen on {address}: {source}{}", way_out(source))]
     Listen {
         /// The address.
         address: SocketAddr,
@@ -65,6 +65,16 @@ pub enum AppError {
     Listener,
 }
 
+/// What helps where an address is taken.
+fn way_out(error: &std::io::Error) -> &'static str {
+    match error.kind() {
+        std::io::ErrorKind::AddrInUse => {
+            ": another program has it; --listen names another address, and port 0 takes a free one"
+        }
+        _ => "",
+    }
+}
+
 /// Serves until SIGTERM or SIGINT; `ready` is called with the bound address once requests are answered. What was
 /// acknowledged is durable when it returns.
 ///
@@ -76,9 +86,11 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     config.check()?;
     // Read again when the server starts; a fault in the files should not wait for a large store.
     files::tls(&config).await?;
+    // A server that cannot listen leaves no new store behind.
+    let bound = bind(&config).await?;
     let store = open_store(&config).await?;
     let open = Arc::downgrade(&store);
-    let server = Server::start(&config, store).await?;
+    let server = Server::start_on(bound, &config, store).await?;
     server.warn_if_insecure();
     tracing::info!(address = %server.address(), "ready");
     if let Some(address) = server.administration() {
@@ -168,6 +180,15 @@ impl Server {
     /// [`AppError`] when the settings do not hold, the service does not start or the address is taken.
     pub async fn start(config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
         config.check()?;
+        Self::start_on(bind(config).await?, config, store).await
+    }
+
+    /// Starts a server over a store on the addresses that [`bind`] took.
+    ///
+    /// # Errors
+    /// [`AppError`] when the settings do not hold or the service does not start.
+    pub async fn start_on(bound: Bound, config: &Config, store: Arc<dyn MapStore>) -> Result<Self, AppError> {
+        config.check()?;
         let metrics = telemetry::metrics_handle();
         let (tls, mut watched) = files::tls(config).await?;
         let service = MapService::open(store, config.service_settings())?;
@@ -181,11 +202,6 @@ impl Server {
         });
         let (access, tokens) = files::access(config)?;
         watched.extend(tokens);
-        let public = Listening::bind(config.listen).await?;
-        let administration = match config.administration()? {
-            Some(address) => Some(Listening::bind(address).await?),
-            None => None,
-        };
         let guarded = Guarded::new(service.clone(), access.clone());
         let zenoh = match files::zenoh(config, &access)? {
             Some((settings, users)) => {
@@ -212,11 +228,11 @@ impl Server {
         };
         let watch = Watch::start(watched, reload::LOOK).map_err(AppError::Signal)?;
         let secure = tls.is_some();
-        let kind = if administration.is_some() { Listener::Public } else { Listener::Only };
-        let administration = administration.map(|bound| {
-            Listening::serve(bound, Listener::Administration, router.clone(), serve_limits.clone(), tls.clone())
+        let kind = if bound.administration.is_some() { Listener::Public } else { Listener::Only };
+        let administration = bound.administration.map(|taken| {
+            Listening::serve(taken, Listener::Administration, router.clone(), serve_limits.clone(), tls.clone())
         });
-        let public = Listening::serve(public, kind, router, serve_limits, tls);
+        let public = Listening::serve(bound.public, kind, router, serve_limits, tls);
         Ok(Self { secure, public, administration, access, door, zenoh, service: ServiceHandle(service), _watch: watch })
     }
 
@@ -302,7 +318,27 @@ fn routes(config: &Config, service: Guarded, door: &Door, outside: OutsideView) 
         scans_per_stream: limits.scans_per_stream,
     };
     let rpc = grpc::router(service, settings, door.clone()).map_err(AppError::Reflection)?;
-    Ok(rest.merge(rpc))
+    Ok(telemetry::trace_requests(rest.merge(rpc)))
+}
+
+/// The addresses that the settings name, taken. Connections wait there until a server answers them.
+#[derive(Debug)]
+pub struct Bound {
+    public: (TcpListener, SocketAddr),
+    administration: Option<(TcpListener, SocketAddr)>,
+}
+
+/// Takes the addresses that the settings name.
+///
+/// # Errors
+/// [`AppError::Listen`] when one cannot be listened on.
+pub async fn bind(config: &Config) -> Result<Bound, AppError> {
+    let public = Listening::bind(config.listen).await?;
+    let administration = match config.administration()? {
+        Some(address) => Some(Listening::bind(address).await?),
+        None => None,
+    };
+    Ok(Bound { public, administration })
 }
 
 async fn open_store(config: &Config) -> Result<Arc<dyn MapStore>, AppError> {

@@ -226,6 +226,16 @@ impl Client {
         self.call("GET", "/v1/maps", None)
     }
 
+    /// Asks whether the server takes work.
+    pub(super) fn ready(&self) -> Result<(), ClientError> {
+        self.exchange("GET", "/readyz", None).map(drop)
+    }
+
+    /// The server's address.
+    pub(super) fn server(&self) -> &str {
+        &self.server
+    }
+
     /// Deletes a map.
     pub(super) fn delete_map(&self, map: &MapName) -> Result<v1::DeleteMapResponse, ClientError> {
         self.call("DELETE", &format!("/v1/maps/{map}"), None)
@@ -277,27 +287,31 @@ impl Client {
         Failure::Failed(anyhow::anyhow!("no snapshot '{name}'; {hint}"))
     }
 
-    /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`.
+    /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`. `waiting` is
+    /// told the attempts so far and the error of each that is followed by another.
     pub(super) fn patiently<T>(
         patience: Duration,
         stop: impl Fn() -> bool,
+        waiting: impl Fn(u32, &ClientError),
         request: impl Fn() -> Result<T, ClientError>,
     ) -> Result<T, ClientError> {
         let started = Instant::now();
         let mut pause = FIRST_PAUSE;
-        loop {
+        for attempt in 1_u32.. {
             match request() {
                 Err(error) if error.is_passing() && !stop() => {
                     let wait = error.retry_after().map_or(pause, |asked| asked.min(LONGEST_PAUSE));
                     if started.elapsed() + wait > patience {
                         return Err(error);
                     }
+                    waiting(attempt, &error);
                     std::thread::sleep(wait);
                     pause = (2 * pause).min(LONGEST_PAUSE);
                 }
                 other => return other,
             }
         }
+        request()
     }
 
     /// Keeps a map's last revision under a name.

@@ -152,6 +152,15 @@ pub(super) fn time_text(seconds: f64) -> String {
     }
 }
 
+/// How many a second, or a minute where that is less than one.
+pub(super) fn rate_text(per_second: f64) -> String {
+    match per_second {
+        slow if slow < 1.0 => format!("{:.1}/min", 60.0 * slow),
+        rate if rate < 10.0 => format!("{rate:.1}/s"),
+        rate => format!("{rate:.0}/s"),
+    }
+}
+
 /// Progress of long work: a bar on a terminal, a line now and then elsewhere.
 pub(super) struct Progress {
     bar: indicatif::ProgressBar,
@@ -181,18 +190,18 @@ impl Progress {
         let seconds = self.started.elapsed().as_secs_f64();
         if !self.bar.is_hidden() {
             self.bar.set_position(position);
-            self.bar.set_message(format!("{done} {}, {:.0}/s", self.what, done as f64 / seconds.max(1e-3)));
+            self.bar.set_message(format!("{done} {}, {}", self.what, rate_text(done as f64 / seconds.max(1e-3))));
         }
         if self.lines && self.told.elapsed() >= LINE_EVERY {
             self.told = Instant::now();
             let share = if self.total == 0 { 1.0 } else { (position as f64 / self.total as f64).min(1.0) };
-            let left = if share > 0.0 { seconds * (1.0 - share) / share } else { 0.0 };
-            note(&format!(
-                "{done} {}, {:.0} %, {:.0}/s, about {left:.0} s left",
-                self.what,
-                100.0 * share,
-                done as f64 / seconds
-            ));
+            let left = if share > 0.0 {
+                format!(", about {:.0} s left", seconds * (1.0 - share) / share)
+            } else {
+                String::new()
+            };
+            let rate = rate_text(done as f64 / seconds.max(1e-3));
+            note(&format!("{done} {}, {:.0} %, {rate}{left}", self.what, 100.0 * share));
         }
     }
 

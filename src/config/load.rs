@@ -2,7 +2,7 @@
 
 use super::{Config, ConfigError};
 use config::{File, FileFormat, Map, Source, Value, ValueKind};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
@@ -44,6 +44,10 @@ const MOST_THREADS: usize = 1024;
 /// Names farther away than this share of their letters are not offered.
 const LEAST_SIMILARITY: f64 = 0.7;
 
+/// Where settings were given, by their keys: a file's path, a variable of the environment, or the command line. Those that
+/// are not named are at their defaults.
+pub type Origins = BTreeMap<String, String>;
+
 impl Config {
     /// Reads the settings. `env` is the process's environment (variables that do not begin with `UBBMAP_` are passed
     /// over; `__` separates a table from its key); `overrides` are flags as `(key, value)`, such as
@@ -56,12 +60,26 @@ impl Config {
         env: impl IntoIterator<Item = (String, String)>,
         overrides: &[(&str, String)],
     ) -> Result<Self, ConfigError> {
+        Ok(Self::load_with_origins(file, env, overrides)?.0)
+    }
+
+    /// The same, and where each setting that is not at its default was given.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_with_origins(
+        file: Option<&Path>,
+        env: impl IntoIterator<Item = (String, String)>,
+        overrides: &[(&str, String)],
+    ) -> Result<(Self, Origins), ConfigError> {
         let known = known_keys()?;
+        let mut origins = Origins::new();
         let mut builder = config::Config::builder();
         if let Some(path) = file {
             let values = read_file(path)?;
             for key in flatten(&values) {
                 check_key(&known, &key, || format!("in {}", path.display()))?;
+                origins.insert(key, path.display().to_string());
             }
             builder = builder.add_source(Layer(values));
         }
@@ -73,15 +91,17 @@ impl Config {
             let key = name.to_lowercase().replace("__", ".");
             check_key(&known, &key, || format!("in the environment ({variable})"))?;
             builder = set(builder, &key, value)?;
+            origins.insert(key, variable);
         }
         for (key, value) in overrides {
             check_key(&known, key, || "on the command line".to_owned())?;
+            origins.insert((*key).to_owned(), "the command line".to_owned());
             builder = set(builder, key, value.clone())?;
         }
         let loaded: Self =
             builder.build().and_then(config::Config::try_deserialize).map_err(|error| value_error(&error))?;
         loaded.check()?;
-        Ok(loaded)
+        Ok((loaded, origins))
     }
 
     /// Checks the values against each other and their ranges.
@@ -111,6 +131,7 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
+        self.telemetry.check()?;
         self.tls.check()?;
         let client_auth = (!self.tls.cert.is_empty()).then_some(self.tls.client_auth);
         self.zenoh.check(self.insecure, client_auth)?;

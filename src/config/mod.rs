@@ -7,6 +7,7 @@ mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod telemetry;
 mod tls;
 mod zenoh;
 
@@ -21,6 +22,8 @@ use std::time::Duration;
 
 pub use access::Access;
 pub use error::ConfigError;
+pub use load::Origins;
+pub use telemetry::Telemetry;
 pub use tls::{ClientCertificates, Tls};
 pub use zenoh::{Zenoh, ZenohMode};
 
@@ -76,6 +79,8 @@ pub struct Config {
     pub tls: Tls,
     /// The transport over Zenoh.
     pub zenoh: Zenoh,
+    /// Traces of requests.
+    pub telemetry: Telemetry,
     /// The end of the server.
     pub shutdown: Shutdown,
 }
@@ -199,6 +204,7 @@ impl Default for Config {
             writer: Writer::default(),
             tls: Tls::default(),
             zenoh: Zenoh::default(),
+            telemetry: Telemetry::default(),
             shutdown: Shutdown::default(),
         }
     }

@@ -5,7 +5,7 @@ use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
 use super::{App, HttpError, accept, access, respond};
-use crate::service::{ExportedFile, ServiceError};
+use crate::service::{ErrorKind, ExportedFile, ServiceError};
 use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::{files, operations};
 use crate::wire::v1;
@@ -82,7 +82,11 @@ pub async fn import(
         return Err(refused.into());
     }
     body::plain(&parts.headers)?;
-    let file = body::collect(body, app.settings.import_bytes).await?;
+    let limit = app.settings.import_bytes;
+    let file = body::collect(body, limit).await.map_err(|error| match error.0.kind {
+        ErrorKind::BodyTooLarge => HttpError(files::too_large(limit)),
+        _ => error,
+    })?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
