@@ -98,6 +98,8 @@ fn every_route_asks_for_a_token_a_role_and_a_map() {
             assert!(detail.contains("its maps are attic, cellar-*"), "{route:?}: {detail}");
         }
         let answer = ask(&gate, least(role), route);
+        let told = (route.3 != Operation::ReadMetrics).then(|| role.word());
+        assert_eq!(answer.header("ubbmap-role"), told, "{route:?}");
         // An import is not made of nothing, and a watch has no such form; both come after the question who asks.
         let expected = match route.3 {
             Operation::ImportMap => 400..410,

@@ -1,6 +1,6 @@
 // A server of the release binary on a directory of its own, and what the tests ask it directly: the page is held to these answers.
 
-import { spawn } from 'node:child_process';
+import { execFileSync, spawn } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import path from 'node:path';
@@ -13,11 +13,32 @@ export class Server {
   constructor() {
     this.folder = mkdtempSync(path.join(tmpdir(), 'ubbmap-viewer-'));
     this.listen = '127.0.0.1:0';
+    /** The file of tokens, where there is one, and the token that is shown from here. */
+    this.tokens = null;
+    this.shown = null;
+  }
+
+  /** Makes a token; the server asks for one where there is any. */
+  token(name, role, ...more) {
+    this.tokens = path.join(this.folder, 'tokens.toml');
+    const done = execFileSync(BINARY, ['token', 'create', '--file', this.tokens, '--name', name, '--role', role, ...more], { stdio: ['ignore', 'pipe', 'ignore'] });
+    return String(done).trim();
+  }
+
+  revoke(name) {
+    execFileSync(BINARY, ['token', 'revoke', '--file', this.tokens, name]);
+  }
+
+  /** Has it read its file of tokens. */
+  reload() {
+    this.process.kill('SIGHUP');
   }
 
   async start() {
     const data = path.join(this.folder, 'data');
-    const environment = { ...process.env, UBBMAP_LOG: 'warn' };
+    // Tokens that are not good are told as warnings, and meant here.
+    const log = this.tokens === null ? 'warn' : 'warn,ubbmap::access=error';
+    const environment = { ...process.env, UBBMAP_LOG: log, UBBMAP_ACCESS__TOKENS: this.tokens ?? '' };
     this.process = spawn(BINARY, ['serve', '--listen', this.listen, '--data', data], { env: environment });
     this.log = '';
     this.process.stderr.on('data', (bytes) => (this.log += bytes));
@@ -46,6 +67,7 @@ export class Server {
 
   async ask(method, at, body) {
     const headers = { accept: 'application/json', 'content-type': 'application/json' };
+    if (this.shown !== null) headers.authorization = `Bearer ${this.shown}`;
     const response = await fetch(this.url + at, { method, headers, body: body && JSON.stringify(body) });
     const text = await response.text();
     return { status: response.status, json: text === '' ? null : JSON.parse(text) };

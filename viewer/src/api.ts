@@ -1,5 +1,8 @@
 // The REST interface as the viewer uses it: types of the answers, and errors as sentences.
 
+// With the token, where the server wants one.
+import { request as fetch } from './access';
+
 export interface Point {
   x: number;
   y: number;

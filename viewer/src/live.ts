@@ -1,14 +1,14 @@
-// The stream of changes. The browser connects again by itself and says where it stopped; where it gives up, we begin anew from the
-// last revision seen.
+// The stream of changes. Where it ends it begins anew from the last revision seen.
 
 import { type Change, eventsPath, getMap, ApiError } from './api';
+import { Events } from './events';
 
 export type LiveState = 'live' | 'reconnecting' | 'gone';
 
 const RETRY = 2000;
 
 export class Live {
-  private source: EventSource | null = null;
+  private events: Events | null = null;
   private timer = 0;
   private ended = false;
 
@@ -36,28 +36,23 @@ export class Live {
 
   private pause(): void {
     clearTimeout(this.timer);
-    this.source?.close();
+    this.events?.close();
   }
 
   private open(): void {
-    const source = new EventSource(eventsPath(this.map, this.revision));
-    this.source = source;
-    source.addEventListener('changes', (event) => {
-      const change = JSON.parse((event as MessageEvent<string>).data) as Change;
+    const changed = (change: Change) => {
       this.revision = change.revision;
       this.onState('live');
       this.onChange(change);
-    });
-    source.addEventListener('error', () => {
-      if (this.ended || source !== this.source) return;
+    };
+    this.events = new Events(eventsPath(this.map, this.revision), changed, () => {
       this.onState('reconnecting');
-      if (source.readyState !== EventSource.CLOSED) return;
       clearTimeout(this.timer);
       this.timer = window.setTimeout(() => void this.again(), RETRY);
     });
   }
 
-  /** The stream was refused: is the map still there? */
+  /** The stream has ended: is the map still there? */
   private async again(): Promise<void> {
     try {
       await getMap(this.map);

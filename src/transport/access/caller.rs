@@ -193,6 +193,12 @@ impl Caller {
         &self.identity.grant
     }
 
+    /// What it may do where it came in: its role, less administration where that has another address.
+    #[must_use]
+    pub fn role_here(&self) -> Role {
+        if self.administers { self.grant().role } else { self.grant().role.min(Role::Write) }
+    }
+
     /// Takes the grant back: what is refused from now on is told so, and open streams end.
     pub fn revoke(&self) {
         self.identity.revoked.cancel();

@@ -101,7 +101,8 @@ struct Written {
     sha256: Option<String>,
     role: String,
     maps: Vec<String>,
-    expires: Option<String>,
+    /// A text, or a time as TOML has it.
+    expires: Option<toml::Value>,
     robot: Option<String>,
 }
 
@@ -242,8 +243,15 @@ impl Written {
         let maps = MapScope::new(&self.maps)?;
         let robot = self.robot.filter(|robot| token || robot != ANY_ROBOT);
         let robot = robot.map(|robot| RobotName::new(&robot)).transpose().map_err(|error| error.to_string())?;
-        let expires = self.expires.as_deref().map(expiry).transpose()?;
+        let expires = self.expires.map(|time| expiry(&written(time))).transpose()?;
         Ok(Entry { proof, caller: Caller::new(self.name, Grant { role, maps, robot, expires }) })
+    }
+}
+
+fn written(time: toml::Value) -> String {
+    match time {
+        toml::Value::String(text) => text,
+        other => other.to_string(),
     }
 }
 

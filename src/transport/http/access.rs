@@ -2,13 +2,16 @@
 
 use super::{App, HttpError, Shared};
 use crate::service::ServiceError;
-use crate::transport::access::{OnBehalf, Origin, Peer, Shown};
+use crate::transport::access::{OnBehalf, Origin, Peer, Role, Shown};
 use axum::body::Body;
 use axum::extract::{FromRequestParts, Request};
-use axum::http::header;
 use axum::http::request::Parts;
+use axum::http::{HeaderName, header};
 use http_body_util::BodyExt;
 use std::time::Duration;
+
+/// What the caller may do, told with every answer to a caller that is known: pages leave out what would be refused.
+pub const ROLE: HeaderName = HeaderName::from_static("ubbmap-role");
 
 /// What a client or a proxy calls a request.
 const REQUEST_ID: &str = "x-request-id";
@@ -33,17 +36,17 @@ impl FromRequestParts<App> for OnBehalf {
 }
 
 /// Looks at who asks. Of a request whose asker is not known the body is thrown away, as far as it comes soon, so that
-/// nobody holds a place among the requests under way who has no right to one; `false` then.
-pub async fn admit(app: &Shared, request: Request) -> (Request, bool) {
+/// nobody holds a place among the requests under way who has no right to one; no role then.
+pub async fn admit(app: &Shared, request: Request) -> (Request, Option<Role>) {
     let (mut parts, body) = request.into_parts();
     let known = identify(app, &parts);
-    let admitted = known.is_ok();
+    let role = known.as_ref().ok().map(|caller| caller.caller().role_here());
     parts.extensions.insert(Admission(known));
-    if admitted {
-        return (Request::from_parts(parts, body), true);
+    if role.is_some() {
+        return (Request::from_parts(parts, body), role);
     }
     discard(body, app).await;
-    (Request::from_parts(parts, Body::empty()), false)
+    (Request::from_parts(parts, Body::empty()), None)
 }
 
 fn identify(app: &Shared, parts: &Parts) -> Result<OnBehalf, ServiceError> {

@@ -4,7 +4,7 @@ use super::params::params;
 use super::path::MapPath;
 use super::problem::Problem;
 use super::{App, HttpError, accept, lines, respond};
-use crate::transport::access::OnBehalf;
+use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::operations;
 use crate::transport::watching::{self, Change};
 use crate::wire::v1;
@@ -71,6 +71,7 @@ pub async fn events(
     request: Request,
 ) -> Result<Response, HttpError> {
     let MapPath(map) = path;
+    caller.may(Operation::WatchMap, &map)?;
     let params = params(request.uri(), &WATCHED)?;
     let form = accept::choose(request.headers(), &FORMS)?;
     let since = match last_event(request.headers())? {

@@ -5,7 +5,7 @@ use super::{App, Shared, access};
 use crate::service::ErrorKind;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::Response as HttpResponse;
+use axum::http::{HeaderValue, Response as HttpResponse};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use metrics::{counter, describe_counter, describe_histogram, histogram};
@@ -37,13 +37,10 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let (request, admitted) =
-        if request.uri().path().starts_with(OPERATIONS) { access::admit(&app, request).await } else { (request, true) };
-    let response = if admitted {
-        limited(&app, request, next, route == IMPORT).await
+    let response = if request.uri().path().starts_with(OPERATIONS) {
+        operation(&app, request, next, route == IMPORT).await
     } else {
-        // The handler says no; it takes no place for that.
-        next.run(request).await
+        timed(&app, next.run(request)).await
     };
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
@@ -53,16 +50,27 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     response
 }
 
-async fn limited(app: &Shared, request: Request, next: Next, import: bool) -> Response {
+async fn operation(app: &Shared, request: Request, next: Next, import: bool) -> Response {
+    let (request, role) = access::admit(app, request).await;
+    let Some(role) = role else {
+        // The handler says no; it takes no place for that.
+        return timed(app, next.run(request)).await;
+    };
     let answered = async {
         if import {
             let _place = app.door.transfer()?;
             return app.door.timed_transfer(next.run(request)).await;
         }
-        let _place = if request.uri().path().starts_with(OPERATIONS) { Some(app.door.request()?) } else { None };
+        let _place = app.door.request()?;
         app.door.timed(next.run(request)).await
     };
-    answered.await.unwrap_or_else(|error| HttpError(error).into_response())
+    let mut response = answered.await.unwrap_or_else(|error| HttpError(error).into_response());
+    response.headers_mut().insert(access::ROLE, HeaderValue::from_static(role.word()));
+    response
+}
+
+async fn timed(app: &Shared, answer: impl Future<Output = Response>) -> Response {
+    app.door.timed(answer).await.unwrap_or_else(|error| HttpError(error).into_response())
 }
 
 /// The answer to a request whose handler panicked. The panic's words are for the log.
