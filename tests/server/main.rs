@@ -20,6 +20,7 @@ mod grpc_transfer;
 mod http_bytes;
 mod http_changes;
 mod http_maps;
+mod http_openapi;
 mod http_queries;
 mod http_rasters;
 mod http_restart;

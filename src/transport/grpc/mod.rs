@@ -9,6 +9,7 @@ mod status;
 
 use super::door::Door;
 use crate::service::MapService;
+use crate::wire;
 use axum::Router;
 use generated::map_service_server::MapServiceServer;
 use service::MapRpc;
@@ -23,9 +24,6 @@ pub use status::DOMAIN;
 pub mod generated {
     include!(concat!(env!("OUT_DIR"), "/grpc/ubbmap.v1.rs"));
 }
-
-/// The interface as reflection tells it.
-const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.bin"));
 
 /// Limits that are gRPC's own; those of operations are the service's.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -49,7 +47,7 @@ pub fn router(
 ) -> Result<Router, tonic_reflection::server::Error> {
     let reflection = || {
         tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let limit = settings.message_bytes;

@@ -1,5 +1,6 @@
 //! What changed: at once (`/changes`), and as it is committed (`/events`).
 
+use super::openapi::table::{GET_CHANGES, WATCH_MAP};
 use super::params::params;
 use super::path::MapPath;
 use super::problem::Problem;
@@ -23,8 +24,6 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Where a client that lost the connection stopped reading (HTML, server-sent events).
 const LAST_EVENT_ID: &str = "last-event-id";
 
-const KNOWN: [&str; 7] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents"];
-
 const REVISION: &str = "a revision, a whole number";
 
 /// How a stream of changes is written.
@@ -39,7 +38,7 @@ const FORMS: [(&str, Form); 2] = [("text/event-stream", Form::Events), (lines::N
 /// `GET /v1/maps/{map}/changes?since=`
 pub async fn since(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &KNOWN)?;
+    let params = params(request.uri(), &GET_CHANGES)?;
     let form = accept::message(request.headers())?;
     let since = params.number("since", REVISION)?;
     let since = since.ok_or_else(|| HttpError::invalid("since", "since is missing: changes after which revision?"))?;
@@ -62,7 +61,7 @@ pub async fn since(State(app): State<App>, path: MapPath, request: Request) -> R
 /// `GET /v1/maps/{map}/events`: server-sent events whose id is the revision, or a line of JSON each.
 pub async fn events(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &KNOWN)?;
+    let params = params(request.uri(), &WATCH_MAP)?;
     let form = accept::choose(request.headers(), &FORMS)?;
     let since = match last_event(request.headers())? {
         // It is where the client stopped; the query string is where it once began.

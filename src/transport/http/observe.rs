@@ -1,5 +1,6 @@
 //! Around every request: its place among the requests under way, its time, its metrics, and panics.
 
+use super::openapi::table::IMPORT_MAP;
 use super::problem::HttpError;
 use super::{App, Shared};
 use crate::service::ErrorKind;
@@ -14,9 +15,6 @@ use std::time::Instant;
 
 /// What begins with this is limited; health and metrics answer also when the server is full.
 const OPERATIONS: &str = "/v1/";
-
-/// Its body is a whole map and may be long on its way: it has a time and places of its own.
-pub const IMPORT: &str = "/v1/maps/{map}/import";
 
 const SECONDS: &str = "ubbmap_http_request_seconds";
 const TOTAL: &str = "ubbmap_http_requests_total";
@@ -37,7 +35,7 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let response = limited(&app, request, next, route == IMPORT).await;
+    let response = limited(&app, request, next, route == IMPORT_MAP.path).await;
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
     histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());
@@ -46,6 +44,7 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     response
 }
 
+/// `import`: the body is a whole map and may be long on its way, so it has a time and places of its own.
 async fn limited(app: &Shared, request: Request, next: Next, import: bool) -> Response {
     let answered = async {
         if import {

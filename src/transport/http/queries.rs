@@ -1,6 +1,7 @@
 //! Classes at points, leaves of a box, and guaranteed-free.
 
 use super::body;
+use super::openapi::table::GET_REGION;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::{App, HttpError, accept, respond};
@@ -60,7 +61,7 @@ pub async fn guaranteed_free(
 /// `GET /v1/maps/{map}/region`
 pub async fn region(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "blocks"])?;
+    let params = params(request.uri(), &GET_REGION)?;
     let form = accept::message(request.headers())?;
     let answer = app.service.region_with(&map, &params.box_query()?, params.flag("blocks")?).await?;
     let size = answer.leaves.len() * size_of::<Leaf>() + answer.blocks.len() * size_of::<BlockChange>();

@@ -1,6 +1,7 @@
 //! Dense rasters: grids of a box and tiles of a node.
 
 use super::body::apart;
+use super::openapi::table::GET_GRID;
 use super::params::{no_params, params};
 use super::path::{MapPath, TilePath};
 use super::{App, HttpError, accept, pictures, respond};
@@ -13,8 +14,10 @@ use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-const NPY: &str = "application/x-npy";
-const PNG: &str = "image/png";
+/// Media type of NumPy arrays.
+pub const NPY: &str = "application/x-npy";
+/// Media type of images.
+pub const PNG: &str = "image/png";
 
 /// What a raster is written as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -37,7 +40,7 @@ const FORMS: [(&str, Form); 5] = [
 /// `GET /v1/maps/{map}/grid`
 pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format"])?;
+    let params = params(request.uri(), &GET_GRID)?;
     let form = match params.text("format") {
         None => accept::choose(request.headers(), &FORMS)?,
         Some("json") => Form::Json,

@@ -1,6 +1,7 @@
 //! Whole maps as files: `GET .../export` and `PUT .../import`.
 
 use super::body;
+use super::openapi::table::EXPORT_MAP;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
@@ -17,7 +18,7 @@ use futures_util::StreamExt;
 /// `GET /v1/maps/{map}/export?format=&snapshot=&depth=&mode=`
 pub async fn export(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["format", "snapshot", "depth", "mode"])?;
+    let params = params(request.uri(), &EXPORT_MAP)?;
     let (format, media) = match params.text("format") {
         None | Some("ubbmap") => (v1::ExportFormat::Ubbmap, "application/octet-stream"),
         Some("nav2") => (v1::ExportFormat::Nav2, "application/zip"),
