@@ -46,6 +46,7 @@ kinds! {
     TooManySnapshots => "TOO_MANY_SNAPSHOTS",
     InvalidFile => "INVALID_FILE",
     BodyTooLarge => "BODY_TOO_LARGE",
+    HeadersTooLarge => "HEADERS_TOO_LARGE",
     ToleranceTooHigh => "TOLERANCE_TOO_HIGH",
     UnsupportedMediaType => "UNSUPPORTED_MEDIA_TYPE",
     NotAcceptable => "NOT_ACCEPTABLE",

@@ -8,8 +8,10 @@ mod changes;
 mod error;
 mod evidence;
 mod failures;
+mod fair;
 mod gate;
 mod input;
+mod limits;
 mod metrics;
 mod nav2;
 mod queries;
@@ -25,6 +27,8 @@ mod writer;
 mod budget_tests;
 #[cfg(test)]
 mod evidence_tests;
+#[cfg(test)]
+mod fair_tests;
 #[cfg(test)]
 mod gate_tests;
 #[cfg(test)]
@@ -45,6 +49,7 @@ pub use answers::{
 pub use changes::Watch;
 pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
+pub use limits::{LIMITS, limit_hit, setting};
 pub use metrics::describe_metrics;
 pub use nav2::Nav2Mode;
 pub use settings::ServiceSettings;
@@ -122,6 +127,14 @@ impl MapService {
         self.registry.insert(name, scans, WhenFull::Refuse).await
     }
 
+    /// Refuses scans of a map whose queue is full, before they are looked at.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::Busy`]
+    pub fn room(&self, name: &MapName) -> Result<(), ServiceError> {
+        self.registry.room(name)
+    }
+
     /// As [`MapService::insert`], but waits for a place in the map's queue and for memory: for senders that are held
     /// up by not being read.
     ///
@@ -141,7 +154,13 @@ impl MapService {
         points: &[(f64, f64)],
         depth: Option<u32>,
     ) -> Result<ClassesAnswer, ServiceError> {
-        limited("points", points.len(), self.settings().max_points, ErrorKind::TooManyPoints)?;
+        limited(
+            "points",
+            points.len(),
+            self.settings().max_points,
+            ErrorKind::TooManyPoints,
+            setting::POINTS_PER_QUERY,
+        )?;
         let root = self.root(name).await?;
         let depth = root.depth(depth)?;
         if points.len() <= INLINE_POINTS
@@ -221,7 +240,8 @@ impl MapService {
         regions: &[Region],
         tolerance: u32,
     ) -> Result<FreeAnswers, ServiceError> {
-        limited("regions", regions.len(), self.settings().max_regions, ErrorKind::TooManyRegions)?;
+        let most = self.settings().max_regions;
+        limited("regions", regions.len(), most, ErrorKind::TooManyRegions, setting::REGIONS_PER_QUERY)?;
         let root = self.root(name).await?;
         let tolerance = root.tolerance(tolerance)?;
         // How long a region takes depends on the map below it, so none of them is computed here.
@@ -321,9 +341,15 @@ fn query_failure(name: &MapName, error: QueryError) -> ServiceError {
     }
 }
 
-fn limited(field: &str, count: usize, limit: usize, kind: ErrorKind) -> Result<(), ServiceError> {
+fn limited(
+    field: &str,
+    count: usize,
+    limit: usize,
+    kind: ErrorKind,
+    setting: &'static str,
+) -> Result<(), ServiceError> {
     if count <= limit {
         return Ok(());
     }
-    Err(ServiceError::new(kind, format!("{field} has {count} entries, the limit is {limit}")).at(field))
+    Err(ServiceError::over(kind, setting, format!("{field} has {count} entries, the limit is {limit}")).at(field))
 }

@@ -2,7 +2,7 @@
 //! what it holds up is its own transfer, never a map.
 
 use super::door::{Door, Place};
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use bytes::Bytes;
 use futures_util::stream::{self, Stream};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -79,7 +79,7 @@ impl Incoming {
     pub fn take(&mut self, piece: &[u8], limit: usize) -> Result<(), ServiceError> {
         if piece.len() > limit.saturating_sub(self.bytes.len()) {
             let detail = format!("the file is larger than {limit} bytes, the limit");
-            return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
+            return Err(ServiceError::over(ErrorKind::BodyTooLarge, setting::IMPORT_BYTES, detail).at("body"));
         }
         self.bytes.extend_from_slice(piece);
         Ok(())
@@ -96,5 +96,5 @@ impl Incoming {
 #[must_use]
 pub fn out_of_time(limit: Duration) -> ServiceError {
     let detail = format!("the file was not transferred within {} s", limit.as_secs_f64());
-    ServiceError::new(ErrorKind::Timeout, detail)
+    ServiceError::over(ErrorKind::Timeout, setting::TRANSFER_SECONDS, detail)
 }

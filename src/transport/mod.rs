@@ -1,10 +1,13 @@
 //! Floor 5: the transports. They translate, and hold no logic. What they have in common stands beside them: the
 //! operations from message to message, the streams, the door that all pass, and the table of errors.
 
+pub mod client;
 pub mod door;
 pub mod files;
 pub mod grpc;
+pub mod guard;
 pub mod http;
+pub mod intake;
 pub mod operations;
 pub mod parameters;
 mod scan_stream;

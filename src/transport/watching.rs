@@ -1,5 +1,6 @@
 //! A watch of a map as messages, for every transport that can push.
 
+use super::client::Client;
 use super::door::{Door, Place, ending};
 use crate::service::{MapService, ServiceError, Watch};
 use crate::wire::{self, v1};
@@ -18,9 +19,10 @@ pub type Change = Result<v1::WatchMapResponse, ServiceError>;
 pub async fn begin(
     service: &MapService,
     door: &Door,
+    client: Option<&Client>,
     request: &v1::WatchMapRequest,
 ) -> Result<mpsc::Receiver<Change>, ServiceError> {
-    let place = door.stream()?;
+    let place = door.stream(client)?;
     let map = wire::map_name(&request.map)?;
     let watch = service.watch(&map, request.since, wire::watch_query(request)).await?;
     let (out, receiver) = mpsc::channel(WAITING);

@@ -52,6 +52,7 @@ pub fn router(
     };
     let limit = settings.message_bytes;
     let health = health::watched(service.clone(), door.clone());
+    let around = (limit, door.clone());
     let maps = MapServiceServer::new(MapRpc::new(service, settings, door)).max_decoding_message_size(limit);
     let router = tonic::service::Routes::new(maps)
         .add_service(health)
@@ -61,6 +62,6 @@ pub fn router(
         .reset_fallback();
     Ok(router
         .layer(CatchPanicLayer::custom(observe::panicked))
-        .layer(axum::middleware::from_fn_with_state(limit, observe::observe))
+        .layer(axum::middleware::from_fn_with_state(around, observe::observe))
         .layer(GrpcWebLayer::new()))
 }

@@ -5,6 +5,7 @@ use super::params::params;
 use super::path::MapPath;
 use super::problem::Problem;
 use super::{App, HttpError, accept, lines, respond};
+use crate::transport::client::Client;
 use crate::transport::operations;
 use crate::transport::watching::{self, Change};
 use crate::wire::v1;
@@ -69,6 +70,7 @@ pub async fn events(State(app): State<App>, path: MapPath, request: Request) -> 
         None => params.number("since", REVISION)?,
     };
     let area = params.box_query()?;
+    let client = request.extensions().get::<Client>().cloned();
     let request = v1::WatchMapRequest {
         map: map.to_string(),
         since,
@@ -79,7 +81,7 @@ pub async fn events(State(app): State<App>, path: MapPath, request: Request) -> 
         depth: area.depth,
         contents: params.flag("contents")?,
     };
-    let changes = watching::begin(&app.service, &app.door, &request).await?;
+    let changes = watching::begin(&app.service, &app.door, client.as_ref(), &request).await?;
     Ok(match form {
         Form::Events => event_stream(changes),
         Form::Lines => lines::response(changes),

@@ -3,6 +3,7 @@
 mod accept;
 mod body;
 mod changes;
+mod cors;
 #[cfg(test)]
 mod http_tests;
 mod lines;
@@ -19,20 +20,23 @@ mod respond;
 mod scans;
 mod serve;
 mod snapshots;
+mod steady;
 mod system;
 mod transfer;
 mod viewer;
 
 use super::door::Door;
-use crate::service::MapService;
+use crate::service::{MapService, setting};
 use axum::Router;
 use axum::routing::get;
+use body::Limit;
 use std::sync::Arc;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
 
 use openapi::{Routes, table};
 
+pub use cors::cors;
 pub use observe::describe_metrics;
 pub use problem::{HttpError, Problem};
 pub use serve::{ServeLimits, serve};
@@ -48,6 +52,20 @@ pub struct HttpSettings {
     pub import_bytes: usize,
     /// Most scans of one stream that are not acknowledged yet.
     pub scans_per_stream: usize,
+}
+
+impl HttpSettings {
+    fn body_limit(&self) -> Limit {
+        Limit { bytes: self.body_bytes, setting: setting::BODY_BYTES }
+    }
+
+    fn config_limit(&self) -> Limit {
+        Limit { bytes: self.config_bytes, setting: setting::CONFIG_BYTES }
+    }
+
+    fn import_limit(&self) -> Limit {
+        Limit { bytes: self.import_bytes, setting: setting::IMPORT_BYTES }
+    }
 }
 
 /// What health and metrics tell that no handler knows by itself.

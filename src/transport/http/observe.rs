@@ -1,9 +1,14 @@
 //! Around every request: its place among the requests under way, its time, its metrics, and panics.
 
-use super::openapi::table::IMPORT_MAP;
+use super::lines;
+use super::openapi::table::{IMPORT_MAP, INSERT_SCANS};
 use super::problem::HttpError;
 use super::{App, Shared};
-use crate::service::ErrorKind;
+use crate::service::{ErrorKind, ServiceError};
+use crate::transport::client::Client;
+use crate::transport::guard;
+use crate::transport::intake::Shape;
+use axum::Error;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::Response as HttpResponse;
@@ -35,7 +40,10 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let response = limited(&app, request, next, route == IMPORT_MAP.path).await;
+    let client = request.extensions().get::<Client>().cloned();
+    let mut response =
+        guarded(&app, request, next, &route).await.unwrap_or_else(|error| HttpError(error).into_response());
+    guard::close_refused(client.as_ref(), &mut response);
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
     histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());
@@ -44,17 +52,35 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     response
 }
 
-/// `import`: the body is a whole map and may be long on its way, so it has a time and places of its own.
-async fn limited(app: &Shared, request: Request, next: Next, import: bool) -> Response {
-    let answered = async {
-        if import {
-            let _place = app.door.transfer()?;
-            return app.door.timed_transfer(next.run(request)).await;
-        }
-        let _place = if request.uri().path().starts_with(OPERATIONS) { Some(app.door.request()?) } else { None };
-        app.door.timed(next.run(request)).await
+/// Lets a request in with what it may take of the server's memory, and keeps the answer's until it has gone out.
+async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Result<Response, ServiceError> {
+    let shape = if route == IMPORT_MAP.path {
+        // A file has a limit of its own.
+        None
+    } else if route == INSERT_SCANS.path && lines::wanted(request.headers()) {
+        Some(Shape::Lines)
+    } else {
+        Some(Shape::Whole)
     };
-    answered.await.unwrap_or_else(|error| HttpError(error).into_response())
+    let (request, admitted) = guard::admit(&app.door, request, shape, Error::new)?;
+    let response = limited(app, request, next, route).await?;
+    admitted.answer(&app.door, response)
+}
+
+/// `import`: the body is a whole map and may be long on its way, so it has a time and places of its own.
+async fn limited(app: &Shared, request: Request, next: Next, route: &str) -> Result<Response, ServiceError> {
+    if route == IMPORT_MAP.path {
+        let _place = app.door.transfer()?;
+        return app.door.timed_transfer(next.run(request)).await;
+    }
+    let _place = if route == INSERT_SCANS.path {
+        Some(app.door.insertion()?)
+    } else if request.uri().path().starts_with(OPERATIONS) {
+        Some(app.door.request()?)
+    } else {
+        None
+    };
+    app.door.timed(next.run(request)).await
 }
 
 /// The answer to a request whose handler panicked. The panic's words are for the log.

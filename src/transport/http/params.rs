@@ -1,7 +1,7 @@
 //! Query strings.
 
 use super::HttpError;
-use super::openapi::table::Operation;
+use super::openapi::Operation;
 use crate::transport::parameters::Parameters;
 use axum::extract::Query;
 use axum::http::Uri;

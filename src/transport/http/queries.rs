@@ -18,7 +18,7 @@ pub async fn classes(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
@@ -39,7 +39,7 @@ pub async fn guaranteed_free(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;

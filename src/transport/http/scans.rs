@@ -5,6 +5,7 @@ use super::params::no_params;
 use super::path::MapPath;
 use super::{App, HttpError, accept, lines, respond};
 use crate::store::MapName;
+use crate::transport::client::Client;
 use crate::transport::scan_stream;
 use crate::wire::{self, Batch};
 use axum::body::Body;
@@ -29,11 +30,13 @@ pub async fn insert(
         let MapPath(map) = path?;
         return stream(app, &map, &parts, body).await;
     }
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::scan_encoding(&parts.headers)?;
+    // A full queue is told before the body is made scans of: that costs more than all else of a refusal.
+    app.service.room(&map)?;
     let most = app.service.settings().max_scans_per_request;
     let named = map.clone();
     let mut batch = body::apart(bytes.len(), move || match encoding {
@@ -55,7 +58,7 @@ async fn stream(app: App, map: &MapName, parts: &Parts, body: Body) -> Result<Re
     body::plain(&parts.headers)?;
     // A map that is not there is a plain problem, and no stream that begins with one.
     app.service.version(map).await?;
-    let place = app.door.stream()?;
+    let place = app.door.stream(parts.extensions.get::<Client>())?;
     let scans = lines::scans(body, map.clone(), app.settings.body_bytes);
     let (out, receiver) = mpsc::channel(WAITING_ACKNOWLEDGEMENTS);
     tokio::spawn(async move {

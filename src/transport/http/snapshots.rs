@@ -19,7 +19,7 @@ pub async fn create(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.config_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
@@ -64,7 +64,7 @@ async fn named(
     body: Body,
     path: Result<SnapshotPath, HttpError>,
 ) -> Result<SnapshotPath, HttpError> {
-    let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
+    let bytes = body::read(parts, body, app.settings.config_limit()).await?;
     let path = path?;
     no_params(&parts.uri)?;
     let encoding = body::message_encoding(&parts.headers)?;

@@ -1,6 +1,7 @@
 //! Health, metrics, the index, and paths that are not there.
 
-use super::openapi::table::{OPERATIONS, Operation};
+use super::openapi::Operation;
+use super::openapi::table::OPERATIONS;
 use super::{App, HttpError, respond};
 use crate::service::{ErrorKind, ServiceError};
 use axum::body::Bytes;

@@ -71,7 +71,7 @@ pub async fn import(
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
     body::plain(&parts.headers)?;
-    let file = body::collect(body, app.settings.import_bytes).await?;
+    let file = body::collect(body, app.settings.import_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;

@@ -1,9 +1,10 @@
 //! The description put together: operations, schemas, errors, examples.
 
+use super::operation::{Body, Content, Operation};
 use super::parameter::{Kind, Parameter, Place};
 use super::problems;
 use super::schema::Messages;
-use super::table::{Body, Content, OPERATIONS, Operation, TAGS};
+use super::table::{OPERATIONS, TAGS};
 use crate::service::ErrorKind;
 use crate::transport::http::{accept, lines, rasters};
 use crate::transport::status::status;
@@ -14,14 +15,16 @@ use std::collections::BTreeMap;
 /// Examples of messages, by name.
 const EXAMPLES: &str = include_str!("examples.json");
 
-const ABOUT: &str = "Robots send 2-D laser scans with interval poses; the server keeps k-class occupancy quadtrees and says what in them is \
-    guaranteed to be free.\n\nJSON is the proto3 JSON of the messages of `proto/ubbmap/v1`, which gRPC (on this port) and Zenoh carry too: fields with default values are written \
-    out, integers of 64 bits are texts, bytes are base64, a field that is not known is refused by its name. Requests may also write names in camelCase, numbers as texts and integers of 64 bits as \
-    numbers, and `null` for what is left out. Bodies may come as `gzip`.\n\nErrors are RFC 9457 problems; `code` is a stable word for programs, `detail` is for people, `field` names what \
-    is at fault. Where the same may succeed later, `Retry-After` says when.";
+const ABOUT: &str = "Robots send 2-D laser scans with interval poses; the server keeps k-class occupancy quadtrees \
+    and says what in them is guaranteed to be free.\n\nJSON is the proto3 JSON of the messages of `proto/ubbmap/v1`, \
+    which gRPC (on this port) and Zenoh carry too: fields with default values are written out, integers of 64 bits \
+    are texts, bytes are base64, a field that is not known is refused by its name. Requests may also write names in \
+    camelCase, numbers as texts and integers of 64 bits as numbers. Bodies may come as `gzip`.\n\nErrors are RFC \
+    9457 problems; `code` is a stable word for programs, `detail` is for people, `field` names what is at fault. \
+    Where the same may succeed later, `Retry-After` says when.";
 
 /// Statuses whose errors any operation of the interface may have: no operation lists them.
-pub const ANYWHERE: [u16; 5] = [401, 403, 429, 500, 503];
+pub const ANYWHERE: [u16; 6] = [401, 403, 429, 431, 500, 503];
 
 /// The description as OpenAPI 3.0.3: what generators and testers of all kinds read.
 ///
@@ -137,7 +140,7 @@ fn parameter(parameter: &Parameter) -> Value {
         Kind::Whole(least, most) => {
             json!({ "type": "integer", "format": "int64", "minimum": least, "maximum": most })
         }
-        Kind::Revision => json!({ "type": "integer", "format": "int64", "minimum": 0 }),
+        Kind::Revision => json!({ "type": "integer", "minimum": 0, "maximum": u64::MAX }),
         Kind::Flag => json!({ "type": "boolean", "default": false }),
         Kind::Word(words) => json!({ "type": "string", "enum": words }),
         Kind::Name(rule) => json!({ "type": "string", "pattern": rule }),
@@ -176,7 +179,10 @@ fn request_body(operation: &Operation, examples: &Map<String, Value>) -> Option<
         Body::None => return None,
         Body::Message(name) | Body::Maybe(name) => (
             matches!(operation.body, Body::Message(_)),
-            json!({ accept::JSON: { "schema": reference(name), "example": example(name) }, accept::PROTOBUF: binary() }),
+            json!({
+                accept::JSON: { "schema": reference(name), "example": example(name) },
+                accept::PROTOBUF: binary(),
+            }),
         ),
         Body::Config => (
             false,
@@ -219,7 +225,7 @@ fn responses(operation: &Operation, examples: &Map<String, Value>) -> Value {
     for (code, kinds) in by_status {
         all.insert(code.to_string(), problems::response(&kinds));
     }
-    let anywhere = if operation.versioned() { &ANYWHERE[..] } else { &[500, 503] };
+    let anywhere = if operation.versioned() { &ANYWHERE[..] } else { &[429, 431, 500, 503] };
     for code in anywhere.iter().filter(|code| !problems::kinds(**code).is_empty()) {
         all.insert(code.to_string(), json!({ "$ref": format!("#/components/responses/{}", problems::name(*code)) }));
     }
@@ -234,7 +240,8 @@ fn answer(code: u16, content: Content, examples: &Map<String, Value>) -> Value {
         }
         media
     };
-    let text = |schema: Value| json!({ "schema": schema });
+    let text = || json!({ "schema": { "type": "string" } });
+    let told = |text: &str| json!({ "schema": { "type": "string", "description": text } });
     let content = match content {
         Content::None => None,
         Content::Message(name) => Some(json!({ accept::JSON: json_of(name), accept::PROTOBUF: binary() })),
@@ -242,25 +249,27 @@ fn answer(code: u16, content: Content, examples: &Map<String, Value>) -> Value {
         Content::Acknowledgements => Some(json!({
             accept::JSON: json_of("InsertScansResponse"),
             accept::PROTOBUF: binary(),
-            lines::NDJSON: text(json!({ "type": "string", "description": "One `StreamScansResponse` a scan; a `Problem` as the last line where the stream ends by an error." })),
+            lines::NDJSON: told("One `StreamScansResponse` a scan; a `Problem` where an error ends the stream."),
         })),
         Content::Raster => Some(json!({
-            accept::JSON: json_of("GetGridResponse"), accept::PROTOBUF: binary(), rasters::NPY: binary(), rasters::PNG: binary(),
+            accept::JSON: json_of("GetGridResponse"),
+            accept::PROTOBUF: binary(),
+            rasters::NPY: binary(),
+            rasters::PNG: binary(),
         })),
         Content::Tile => Some(json!({ rasters::PNG: binary(), rasters::NPY: binary(), accept::PROTOBUF: binary() })),
         Content::Events => {
-            let events = "Events `changes`, each with a `WatchMapResponse` as JSON and the revision as its id; an event `end` with a `Problem` where the server ends the stream.";
+            let events = "Events `changes`, each with a `WatchMapResponse` as JSON and the revision as its id; an \
+                event `end` with a `Problem` where the server ends the stream.";
             Some(json!({
-                "text/event-stream": text(json!({ "type": "string", "description": events })),
-                lines::NDJSON: text(json!({ "type": "string", "description": "One `WatchMapResponse` a line." })),
+                "text/event-stream": told(events),
+                lines::NDJSON: told("One `WatchMapResponse` a line."),
             }))
         }
         Content::File => Some(json!({ "application/octet-stream": binary(), "application/zip": binary() })),
-        Content::Metrics => Some(json!({ "text/plain": text(json!({ "type": "string" })) })),
-        Content::Page => Some(json!({ "text/html": text(json!({ "type": "string" })) })),
-        Content::Index => {
-            Some(json!({ accept::JSON: json_of("Index"), "text/html": text(json!({ "type": "string" })) }))
-        }
+        Content::Metrics => Some(json!({ "text/plain": text() })),
+        Content::Page => Some(json!({ "text/html": text() })),
+        Content::Index => Some(json!({ accept::JSON: json_of("Index"), "text/html": text() })),
     };
     let description = match code {
         201 => "Made.",

@@ -1,6 +1,6 @@
 //! What the types of `proto/` cannot say of a field: what is needed, bounds, rules of names, defaults.
 
-use super::parameter::{MAP_RULE, NAME_RULE};
+use super::parameter::NAME_RULE;
 use crate::mapping::{MAX_OBSTACLE_WIDTH, MAX_SENSORS};
 use crate::sensor::{
     MAX_ANGLE_ERROR, MAX_BEAM_DIAMETER, MAX_LENGTH, MAX_MOUNT_OFFSET, MAX_MOUNT_THETA, MAX_ROBOT_LENGTH, SensorSpec,
@@ -8,8 +8,14 @@ use crate::sensor::{
 use crate::wire;
 use serde_json::{Value, json};
 
+/// The rule of a map's name where the path names it already: the same, or nothing.
+const MAP_OR_NOTHING: &str = "^([a-z0-9][a-z0-9_-]{0,62})?$";
+
+/// The same of robots and snapshots.
+const NAME_OR_NOTHING: &str = "^([A-Za-z0-9][A-Za-z0-9_.-]{0,62})?$";
+
 /// Fields that a request or answer always has, beside those that an answer writes out by the rules of proto3 JSON.
-const NEEDED: [&str; 35] = [
+const NEEDED: [&str; 25] = [
     "Point.x",
     "Point.y",
     "Interval.min",
@@ -17,12 +23,8 @@ const NEEDED: [&str; 35] = [
     "PoseBox.x",
     "PoseBox.y",
     "PoseBox.theta",
-    "Scan.robot",
     "Scan.pose",
     "Scan.ranges",
-    "InsertScansRequest.scans",
-    "GetClassesRequest.points",
-    "CheckGuaranteedFreeRequest.regions",
     "BoxRegion.min_x",
     "BoxRegion.min_y",
     "BoxRegion.max_x",
@@ -39,12 +41,6 @@ const NEEDED: [&str; 35] = [
     "GetMapResponse.bounds",
     "MapSummary.config",
     "MapSummary.bounds",
-    "Problem.type",
-    "Problem.title",
-    "Problem.status",
-    "Problem.detail",
-    "Problem.code",
-    "Health.status",
 ];
 
 /// Is the field always there?
@@ -71,17 +67,17 @@ fn known(key: &str) -> Option<Value> {
                 { "type": "string", "enum": ["NaN", "Infinity", "-Infinity"] },
             ] },
         }),
-        "Scan.robot" => json!({ "pattern": NAME_RULE }),
+        "Scan.robot" | "RestoreSnapshotRequest.name" => json!({ "pattern": NAME_OR_NOTHING }),
         "Scan.footprint_radius" | "Scan.sweep_translation" => json!({ "minimum": 0, "maximum": MAX_ROBOT_LENGTH }),
         "Scan.sweep_rotation" => json!({ "minimum": 0, "maximum": std::f64::consts::TAU }),
-        "CreateSnapshotRequest.name" | "RestoreSnapshotRequest.name" => json!({ "pattern": NAME_RULE }),
+        "CreateSnapshotRequest.name" => json!({ "pattern": NAME_RULE }),
         "CreateMapRequest.map"
         | "InsertScansRequest.map"
         | "GetClassesRequest.map"
         | "CheckGuaranteedFreeRequest.map"
         | "CreateSnapshotRequest.map"
         | "RestoreSnapshotRequest.map" => {
-            json!({ "pattern": MAP_RULE, "description": "The map that the path names, or left out." })
+            json!({ "pattern": MAP_OR_NOTHING, "description": "The map that the path names, or left out." })
         }
         "PolygonRegion.points" => json!({ "minItems": 3 }),
         "PathRegion.points" => json!({ "minItems": 1 }),

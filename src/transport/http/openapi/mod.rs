@@ -4,6 +4,7 @@ mod document;
 mod facts;
 #[cfg(test)]
 mod openapi_tests;
+mod operation;
 mod parameter;
 mod problems;
 mod schema;
@@ -21,7 +22,9 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::on;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::LazyLock;
-use table::{DESCRIPTION, DOCS, Operation};
+use table::{DESCRIPTION, DOCS};
+
+pub use operation::Operation;
 
 /// The routes of a server as they are put together.
 #[derive(Debug, Default)]

@@ -71,6 +71,7 @@ pub fn name(code: u16) -> &'static str {
         401 => "Unauthenticated",
         403 => "Forbidden",
         429 => "Busy",
+        431 => "HeadersTooLarge",
         503 => "Unavailable",
         _ => "Failed",
     }

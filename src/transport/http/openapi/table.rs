@@ -1,127 +1,8 @@
 //! Every operation of REST: the router is made of this table, and so is the description of the interface.
 
-use super::parameter::{self as at, Parameter};
-use crate::service::ErrorKind::{self, *};
-use axum::routing::MethodFilter;
-
-/// A method of HTTP.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verb {
-    Get,
-    Put,
-    Post,
-    Delete,
-}
-
-impl Verb {
-    /// Its word.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Get => "GET",
-            Self::Put => "PUT",
-            Self::Post => "POST",
-            Self::Delete => "DELETE",
-        }
-    }
-
-    /// What the router takes for it.
-    pub fn filter(self) -> MethodFilter {
-        match self {
-            Self::Get => MethodFilter::GET,
-            Self::Put => MethodFilter::PUT,
-            Self::Post => MethodFilter::POST,
-            Self::Delete => MethodFilter::DELETE,
-        }
-    }
-}
-
-/// What a request brings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Body {
-    /// Nothing.
-    None,
-    /// A message as JSON or protobuf.
-    Message(&'static str),
-    /// A message as JSON or protobuf, or nothing: the path says it all.
-    Maybe(&'static str),
-    /// A configuration, a whole creation, or nothing.
-    Config,
-    /// Scans: one, many, or one a line.
-    Scans,
-    /// A map file.
-    File,
-}
-
-/// What an answer is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Content {
-    /// Nothing.
-    None,
-    /// A message as JSON or protobuf.
-    Message(&'static str),
-    /// A message as JSON alone, of a schema of the description's own.
-    Json(&'static str),
-    /// What an insertion answers: one message, or one a scan.
-    Acknowledgements,
-    /// A dense raster.
-    Raster,
-    /// A tile.
-    Tile,
-    /// Changes as they come.
-    Events,
-    /// A map as a file.
-    File,
-    /// Metrics as Prometheus reads them.
-    Metrics,
-    /// A page for people.
-    Page,
-    /// JSON for programs, a page for people.
-    Index,
-}
-
-/// One operation.
-#[derive(Debug)]
-pub struct Operation {
-    /// Its name; those of gRPC where it has one there.
-    pub id: &'static str,
-    /// The method.
-    pub method: Verb,
-    /// The path, as the router has it.
-    pub path: &'static str,
-    /// The group that it is shown in.
-    pub tag: &'static str,
-    /// What it does, in a few words.
-    pub summary: &'static str,
-    /// What there is to know of it.
-    pub text: &'static str,
-    /// Its parameters, without the map's name.
-    pub parameters: &'static [Parameter],
-    /// What a request brings.
-    pub body: Body,
-    /// Status and content of what it answers.
-    pub answers: &'static [(u16, Content)],
-    /// Errors beside those that every operation may have.
-    pub refused: &'static [ErrorKind],
-}
-
-impl Operation {
-    /// The path as the description writes it.
-    pub fn shown_path(&self) -> String {
-        let ending = self.parameters.iter().any(|parameter| *parameter == at::ENDING);
-        if ending { format!("{}.{{ending}}", self.path) } else { self.path.to_owned() }
-    }
-
-    /// Is it the interface's own, with a version in its path?
-    pub fn versioned(&self) -> bool {
-        self.path.starts_with("/v1/")
-    }
-
-    /// The names of its parameters in the query string.
-    pub fn query(&self) -> Vec<&'static str> {
-        let query = self.parameters.iter().filter(|parameter| parameter.place == at::Place::Query);
-        query.map(|parameter| parameter.name).collect()
-    }
-}
+use super::operation::{Body, Content, Operation, Verb};
+use super::parameter as at;
+use crate::service::ErrorKind::*;
 
 const MAPS: &str = "maps";
 const SCANS: &str = "scans";
@@ -162,8 +43,9 @@ pub static CREATE_MAP: Operation = Operation {
     path: "/v1/maps/{map}",
     tag: MAPS,
     summary: "Create a map",
-    text: "The body is the configuration; without one the map has the default one. The same configuration again finds the map there (200); other sensors are added or replaced for \
-        scans to come; any other difference is an error.",
+    text: "The body is the configuration; without one the map has the default one. The same configuration again \
+        finds the map there (200); other sensors are added or replaced for scans to come; any other difference is an \
+        error.",
     parameters: &[at::MAP],
     body: Body::Config,
     answers: &[(201, Content::Message("CreateMapResponse")), (200, Content::Message("CreateMapResponse"))],
@@ -218,9 +100,11 @@ pub static INSERT_SCANS: Operation = Operation {
     path: "/v1/maps/{map}/scans",
     tag: SCANS,
     summary: "Apply scans",
-    text: "The answer means that what was applied is durable: it survives a crash and a power cut. Good scans of a request are applied, bad ones are named in `rejected`. A scan whose `(robot, \
-        sequence)` was applied before is a duplicate and is not applied again, so a request without an answer may be sent again.\n\nOne scan a line (`application/x-ndjson`) with `Accept: \
-        application/x-ndjson` is a stream: each scan is acknowledged with a line as soon as it is durable, and the next is read as there is room.",
+    text: "The answer means that what was applied is durable: it survives a crash and a power cut. Good scans of a \
+        request are applied, bad ones are named in `rejected`. A scan whose `(robot, sequence)` was applied before \
+        is a duplicate and is not applied again, so a request without an answer may be sent again.\n\nOne scan a \
+        line (`application/x-ndjson`) with `Accept: application/x-ndjson` is a stream: each scan is acknowledged \
+        with a line as soon as it is durable, and the next is read as there is room.",
     parameters: &[at::MAP],
     body: Body::Scans,
     answers: &[(200, Content::Acknowledgements)],
@@ -266,8 +150,8 @@ pub static CHECK_GUARANTEED_FREE: Operation = Operation {
     path: "/v1/maps/{map}/guaranteed-free",
     tag: QUERIES,
     summary: "Ask whether regions are guaranteed free",
-    text: "A region is free exactly when every leaf that meets it has class <= u - 1 - tolerance. Otherwise the answer names a witness: a leaf, its class, and why. For a path it is the \
-        first one along it.",
+    text: "A region is free exactly when every leaf that meets it has class <= u - 1 - tolerance. Otherwise the \
+        answer names a witness: a leaf, its class, and why. For a path it is the first one along it.",
     parameters: &[at::MAP],
     body: Body::Message("CheckGuaranteedFreeRequest"),
     answers: &[(200, Content::Message("CheckGuaranteedFreeResponse"))],
@@ -311,8 +195,8 @@ pub static GET_GRID: Operation = Operation {
     path: "/v1/maps/{map}/grid",
     tag: QUERIES,
     summary: "Read a dense raster of a box",
-    text: "By `Accept` or `format`: JSON, protobuf, a NumPy array (u8, row 0 at min_y) or a PNG image (the top row at max_y; free white, unknown grey, occupied black). The headers \
-        `ubbmap-*` tell where it lies.",
+    text: "By `Accept` or `format`: JSON, protobuf, a NumPy array (u8, row 0 at min_y) or a PNG image (the top row \
+        at max_y; free white, unknown grey, occupied black). The headers `ubbmap-*` tell where it lies.",
     parameters: &[at::MAP, at::MIN_X, at::MIN_Y, at::MAX_X, at::MAX_Y, at::CELL_DEPTH, at::GRID_FORMAT],
     answers: &[(200, Content::Raster)],
     refused: &[
@@ -333,8 +217,8 @@ pub static GET_TILE: Operation = Operation {
     path: "/v1/maps/{map}/tiles/{z}/{x}/{y}",
     tag: QUERIES,
     summary: "Read a tile",
-    text: "The node `(z, x, y)` drawn with 256 x 256 cells of depth `z + 8` (fewer where the map is not so deep), with a strong tag of its contents: the tag stays where other parts of the map \
-        change.",
+    text: "The node `(z, x, y)` drawn with 256 x 256 cells of depth `z + 8` (below the leaves, a leaf fills \
+        several), with a strong tag of its contents: the tag stays where other parts of the map change.",
     parameters: &[at::MAP, at::Z, at::X, at::Y, at::ENDING, at::IF_NONE_MATCH],
     answers: &[(200, Content::Tile), (304, Content::None)],
     refused: &[InvalidName, InvalidRequest, TileOutOfRange, RegionTooLarge, NotAcceptable, MapNotFound, MapDamaged],
@@ -366,9 +250,10 @@ pub static WATCH_MAP: Operation = Operation {
     path: "/v1/maps/{map}/events",
     tag: CHANGES,
     summary: "Follow a map's changes as they are committed",
-    text: "Server-sent events named `changes` whose id is the revision, so a client that lost the connection goes on where it stopped (`Last-Event-ID`); or lines of JSON, by `Accept`. The \
-        first comes at once and tells where the map stands. Each begins where the one before ended; several commits are put together where the client is slow. A stream that the server ends has as its \
-        last event `end`, a problem.",
+    text: "Server-sent events named `changes` whose id is the revision, so a client that lost the connection goes on \
+        where it stopped (`Last-Event-ID`); or lines of JSON, by `Accept`. The first comes at once and tells where \
+        the map stands. Each begins where the one before ended; several commits are put together where the client is \
+        slow. A stream that the server ends has as its last event `end`, a problem.",
     parameters: &[
         at::MAP,
         at::WATCH_SINCE,
@@ -434,7 +319,8 @@ pub static RESTORE_SNAPSHOT: Operation = Operation {
     path: "/v1/maps/{map}/snapshots/{name}/restore",
     tag: SNAPSHOTS,
     summary: "Make a snapshot's content the map's",
-    text: "A commit like any other, with a revision of its own. What is known of the robots' sequence numbers is the snapshot's too. A body may repeat what the path says.",
+    text: "A commit like any other, with a revision of its own. What is known of the robots' sequence numbers is the \
+        snapshot's too. A body may repeat what the path says.",
     parameters: &[at::MAP, at::SNAPSHOT_NAME],
     body: Body::Maybe("RestoreSnapshotRequest"),
     answers: &[(200, Content::Message("RestoreSnapshotResponse"))],
