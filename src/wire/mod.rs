@@ -10,6 +10,7 @@ mod free;
 mod json;
 mod number;
 mod queries;
+mod robots;
 mod scans;
 mod snapshots;
 #[cfg(test)]
@@ -29,8 +30,11 @@ pub use decode::{
 pub use free::{free_response, regions};
 pub use number::JsonNumber;
 pub use queries::{grid_query, map_name, points, region_query, same_map};
+pub use robots::list_robots_response;
 pub use scans::Batch;
-pub use snapshots::{create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name};
+pub use snapshots::{
+    create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name, snapshot_wanted,
+};
 
 /// The interface as it describes itself: an encoded `google.protobuf.FileDescriptorSet` with the comments of `proto/`.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.bin"));

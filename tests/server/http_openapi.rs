@@ -123,6 +123,7 @@ fn every_request_that_the_description_shows_is_answered_as_it_says() {
         "GetRegion",
         "GetGrid",
         "GetTile",
+        "ListRobots",
         "GetChanges",
         "CreateSnapshot",
         "ListSnapshots",

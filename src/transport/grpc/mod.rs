@@ -1,14 +1,15 @@
 //! gRPC: the service `ubbmap.v1.MapService` on the port of REST, with gRPC-Web, reflection and health. What an
 //! operation means is the service's alone.
 
+mod access;
 mod codec;
 mod health;
 mod observe;
 mod service;
 mod status;
 
+use super::access::Guarded;
 use super::door::Door;
-use crate::service::MapService;
 use crate::wire;
 use axum::Router;
 use generated::map_service_server::MapServiceServer;
@@ -40,11 +41,7 @@ pub struct GrpcSettings {
 ///
 /// # Errors
 /// When the interface's own description cannot be read.
-pub fn router(
-    service: MapService,
-    settings: GrpcSettings,
-    door: Door,
-) -> Result<Router, tonic_reflection::server::Error> {
+pub fn router(service: Guarded, settings: GrpcSettings, door: Door) -> Result<Router, tonic_reflection::server::Error> {
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
@@ -53,7 +50,7 @@ pub fn router(
     let limit = settings.message_bytes;
     let health = health::watched(service.clone(), door.clone());
     let around = (limit, door.clone());
-    let maps = MapServiceServer::new(MapRpc::new(service, settings, door)).max_decoding_message_size(limit);
+    let maps = MapServiceServer::new(MapRpc::new(settings, door)).max_decoding_message_size(limit);
     let router = tonic::service::Routes::new(maps)
         .add_service(health)
         .add_service(reflection().build_v1()?)
@@ -62,6 +59,7 @@ pub fn router(
         .reset_fallback();
     Ok(router
         .layer(CatchPanicLayer::custom(observe::panicked))
+        .layer(axum::middleware::from_fn_with_state(service, access::admit))
         .layer(axum::middleware::from_fn_with_state(around, observe::observe))
         .layer(GrpcWebLayer::new()))
 }

@@ -2,6 +2,7 @@
 
 use super::status::{to_status, too_large};
 use crate::service::{ErrorKind, ServiceError};
+use crate::transport::access::Operation;
 use crate::transport::client::Client;
 use crate::transport::door::Door;
 use crate::transport::guard;
@@ -21,30 +22,7 @@ const SECONDS: &str = "ubbmap_grpc_call_seconds";
 const TOTAL: &str = "ubbmap_grpc_calls_total";
 
 /// What begins with this is the interface's own.
-const SERVICE: &str = "/ubbmap.v1.MapService/";
-
-/// The methods of the service: any other word is the client's, and would be a label of its own.
-const METHODS: [&str; 19] = [
-    "CreateMap",
-    "GetMap",
-    "ListMaps",
-    "DeleteMap",
-    "InsertScans",
-    "StreamScans",
-    "GetClasses",
-    "GetRegion",
-    "GetGrid",
-    "GetTile",
-    "CheckGuaranteedFree",
-    "GetChanges",
-    "WatchMap",
-    "CreateSnapshot",
-    "ListSnapshots",
-    "RestoreSnapshot",
-    "DeleteSnapshot",
-    "ExportMap",
-    "ImportMap",
-];
+pub const SERVICE: &str = "/ubbmap.v1.MapService/";
 
 /// Those whose requests are streams; so are those of reflection.
 const STREAMED: [&str; 3] = ["StreamScans", "ImportMap", "other"];
@@ -58,7 +36,8 @@ pub fn describe_metrics() {
 /// Lets a call in, times and counts it. `limit` is that of messages, bytes.
 pub async fn observe(State((limit, door)): State<(usize, Door)>, request: Request, next: Next) -> Response {
     let asked = request.uri().path().strip_prefix(SERVICE).unwrap_or_default();
-    let method = METHODS.into_iter().find(|method| *method == asked).unwrap_or("other");
+    // Any other word is the client's, and would be a label of its own.
+    let method = Operation::of_method(asked).map_or("other", Operation::method);
     let begun = Instant::now();
     let client = request.extensions().get::<Client>().cloned();
     let answered = guarded(&door, request, next, method).await;

@@ -1,7 +1,8 @@
 //! Bodies of requests: read whole under a limit, decompressed under the same limit, and their form.
 
 use super::HttpError;
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
+use crate::transport::files;
 use crate::transport::intake::{Held, refusal};
 use crate::wire::Encoding;
 use axum::body::{Body, Bytes};
@@ -184,6 +185,9 @@ fn unzip(bytes: &[u8], limit: Limit, held: Option<&Held>) -> Result<Bytes, HttpE
 }
 
 fn too_large(limit: Limit, when: &str) -> HttpError {
+    if limit.setting == setting::IMPORT_BYTES {
+        return HttpError(files::too_large(limit.bytes));
+    }
     let detail = format!("the body is larger than {} bytes{when}, the limit: send less at a time", limit.bytes);
     HttpError(ServiceError::over(ErrorKind::BodyTooLarge, limit.setting, detail).at("body"))
 }

@@ -1,6 +1,7 @@
 //! REST: routes, bodies, forms of answers and problems. What an operation means is the service's alone.
 
 mod accept;
+mod access;
 mod body;
 mod changes;
 mod cors;
@@ -25,8 +26,9 @@ mod system;
 mod transfer;
 mod viewer;
 
+use super::access::Guarded;
 use super::door::Door;
-use crate::service::{MapService, setting};
+use crate::service::setting;
 use axum::Router;
 use axum::routing::get;
 use body::Limit;
@@ -78,7 +80,7 @@ pub struct OutsideView {
 
 /// What every handler has.
 struct Shared {
-    service: MapService,
+    service: Guarded,
     settings: HttpSettings,
     door: Door,
     outside: OutsideView,
@@ -87,7 +89,7 @@ struct Shared {
 type App = Arc<Shared>;
 
 /// The routes over a service.
-pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
+pub fn router(service: Guarded, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
     let shared = Arc::new(Shared { service, settings, door, outside });
     routes()
         .done()
@@ -112,6 +114,7 @@ fn routes() -> Routes {
         .at(&table::CHECK_GUARANTEED_FREE, queries::guaranteed_free)
         .at(&table::GET_REGION, queries::region)
         .at(&table::GET_GRID, rasters::grid)
+        .at(&table::LIST_ROBOTS, queries::robots)
         .at(&table::GET_TILE, rasters::tile)
         .at(&table::GET_CHANGES, changes::since)
         .at(&table::WATCH_MAP, changes::events)

@@ -3,7 +3,7 @@
 use super::lines;
 use super::openapi::table::{IMPORT_MAP, INSERT_SCANS};
 use super::problem::HttpError;
-use super::{App, Shared};
+use super::{App, Shared, access};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::client::Client;
 use crate::transport::guard;
@@ -63,7 +63,14 @@ async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Res
         Some(Shape::Whole)
     };
     let (request, admitted) = guard::admit(&app.door, request, shape, Error::new)?;
-    let response = limited(app, request, next, route).await?;
+    let versioned = request.uri().path().starts_with(OPERATIONS);
+    let (request, known) = if versioned { access::admit(app, request).await } else { (request, true) };
+    let response = if known {
+        limited(app, request, next, route).await?
+    } else {
+        // The handler says no; it takes no place for that.
+        next.run(request).await
+    };
     admitted.answer(&app.door, response)
 }
 

@@ -1,18 +1,23 @@
 //! The listener: connections are accepted, limited, timed, and let go at the end.
 
+use super::problem::{HttpError, PROBLEM_JSON, Problem};
 use super::steady::Steady;
-use crate::service::{limit_hit, setting};
+use crate::service::{ErrorKind, limit_hit, setting};
+use crate::transport::access::{Listener, Peer};
 use crate::transport::client::{self, Client, PerClient};
-use axum::Router;
+use crate::transport::tls::{Opened, Outcome, Secure, Tls, linger};
 use axum::http::Request;
+use axum::{Extension, Router};
 use hyper::body::Incoming;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use std::future::Future;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tower::ServiceExt;
@@ -37,7 +42,7 @@ const RESETS: usize = 20;
 pub struct ServeLimits {
     /// Most open at once; more wait to be accepted.
     pub connections: usize,
-    /// Longest time for a request's head to arrive.
+    /// Longest time for a request's head to arrive, and for a handshake.
     pub header_timeout: Duration,
     /// Longest time for a connection without a request, and for a write to move.
     pub idle_timeout: Duration,
@@ -49,11 +54,18 @@ pub struct ServeLimits {
     pub grace: Duration,
 }
 
-/// Serves until `stop` is done; then accepts no more, ends idle connections, and waits for requests under way for the
-/// time of grace.
-pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, stop: impl Future<Output = ()>) {
+/// Serves until `stop` is done, and tells the routes from whom and by which listener a request came; then accepts no more,
+/// ends idle connections, and waits for requests under way for the time of grace. With `tls` it speaks nothing else.
+pub async fn serve(
+    listener: TcpListener,
+    kind: Listener,
+    router: Router,
+    limits: &ServeLimits,
+    tls: Option<Tls>,
+    stop: impl Future<Output = ()>,
+) {
     let builder = builder(limits);
-    let first_byte = limits.header_timeout;
+    let patience = limits.header_timeout;
     let connections = Arc::new(Semaphore::new(limits.connections));
     let graceful = GracefulShutdown::new();
     tokio::pin!(stop);
@@ -66,7 +78,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
             let permit = Arc::clone(&connections).acquire_owned().await.ok();
             (listener.accept().await, permit)
         };
-        let ((stream, peer), permit) = tokio::select! {
+        let ((stream, address), permit) = tokio::select! {
             () = &mut stop => break,
             (accepted, permit) = accepted => match accepted {
                 Ok(accepted) => (accepted, permit),
@@ -77,25 +89,22 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
                 }
             },
         };
-        let Some((client, share)) = client::connected(&limits.clients, peer.ip()) else {
-            tracing::debug!(%peer, "closed: the client has too many connections");
+        let Some((client, share)) = client::connected(&limits.clients, address.ip()) else {
+            tracing::debug!(%address, "closed: the client has too many connections");
             continue;
         };
         // One that is only told that it is too many is not kept.
         let idle = if client.is_refused() { limits.header_timeout } else { limits.idle_timeout };
-        let service = TowerToHyperService::new(router.clone().map_request(named(client.clone())));
+        let (router, tls) = (router.clone(), tls.clone());
         let (builder, watcher) = (builder.clone(), graceful.watcher());
-        let patience = limits.idle_timeout;
+        let moving = limits.idle_timeout;
         tokio::spawn(async move {
             let _share = share;
-            // The version of HTTP is told by the first bytes, for which nothing below would wait in vain.
-            match tokio::time::timeout(first_byte, stream.peek(&mut [0])).await {
-                Ok(Ok(1)) => {}
-                // It has gone again.
-                Ok(_) => return,
-                Err(_) => return limit_hit(setting::HEADER_SECONDS),
-            }
-            let connection = builder.serve_connection(io(stream, patience), service);
+            let Some(Opened { stream, certificate }) = open(stream, address, tls, patience).await else { return };
+            let peer = Peer { address: Some(address), certificate, listener: kind };
+            let router = tower::Layer::layer(&Extension(peer), router).map_request(named(client.clone()));
+            let stream = TokioIo::new(Steady::new(stream, moving));
+            let connection = builder.serve_connection(stream, TowerToHyperService::new(router));
             tokio::select! {
                 ended = watcher.watch(connection) => if let Err(error) = ended {
                     if error.downcast_ref::<hyper::Error>().is_some_and(hyper::Error::is_timeout) {
@@ -104,7 +113,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &ServeLimits, 
                     // A client that went away or sent no HTTP: its affair.
                     tracing::debug!(%error, "a connection ended early");
                 },
-                () = client.idle(idle) => tracing::debug!(%peer, "closed: nothing came for too long"),
+                () = client.idle(idle) => tracing::debug!(%address, "closed: nothing came for too long"),
             }
             drop(permit);
         });
@@ -142,8 +151,51 @@ fn named(client: Client) -> impl Fn(Request<Incoming>) -> Request<Incoming> + Cl
     }
 }
 
-fn io(stream: TcpStream, patience: Duration) -> TokioIo<Steady<TcpStream>> {
+/// Brings a connection to where requests can come; `None` where it does not get there in time.
+async fn open(stream: TcpStream, peer: SocketAddr, tls: Option<Tls>, patience: Duration) -> Option<Opened> {
     // Small answers should not wait for the next packet; a socket that refuses works all the same.
     let _ = stream.set_nodelay(true);
-    TokioIo::new(Steady::new(stream, patience))
+    let secure = tls.is_some();
+    let opened = async move {
+        // The version of HTTP is told by the first bytes, for which nothing below would wait in vain.
+        // Looked at rather than waited for: a stream is told to be readable now and then when it is not.
+        if stream.peek(&mut [0]).await.ok()? == 0 {
+            return None;
+        }
+        let Some(tls) = tls else { return Some(Opened { stream: Secure::Left(stream), certificate: None }) };
+        match tls.open(stream, peer).await {
+            Outcome::Opened(opened) => Some(*opened),
+            Outcome::Plain(stream) => {
+                turn_away(stream).await;
+                None
+            }
+            Outcome::Failed => None,
+        }
+    };
+    match tokio::time::timeout(patience, opened).await {
+        Ok(opened) => opened,
+        Err(_) => {
+            limit_hit(setting::HEADER_SECONDS);
+            if secure {
+                Tls::late(peer);
+            }
+            None
+        }
+    }
+}
+
+/// Tells a client of plain HTTP/1.1 what to do. Others do not understand it, and see a connection that is closed.
+async fn turn_away(mut stream: TcpStream) {
+    let HttpError(error) =
+        HttpError::new(ErrorKind::TlsRequired, "this port speaks TLS: its address begins with https://");
+    let problem = Problem::from(&error);
+    let body = serde_json::to_string(&problem).unwrap_or_default();
+    let answer = format!(
+        "HTTP/1.1 {} Bad Request\r\ncontent-type: {PROBLEM_JSON}\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{body}",
+        problem.status,
+        body.len()
+    );
+    if stream.write_all(answer.as_bytes()).await.is_ok() {
+        linger(stream).await;
+    }
 }

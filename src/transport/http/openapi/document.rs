@@ -40,7 +40,11 @@ pub fn document() -> Result<Value, Box<dyn std::error::Error>> {
         json!({
             "type": "object",
             "required": ["status"],
-            "properties": { "status": { "type": "string", "enum": ["ok", "ready"] } },
+            "properties": {
+                "status": { "type": "string", "enum": ["ok", "ready"] },
+                "insecure": { "type": "boolean", "description": "Strangers reach the server and may do all." },
+                "warning": { "type": "string" },
+            },
         }),
     );
     schemas.insert(
@@ -126,7 +130,7 @@ fn described(operation: &Operation, examples: &Map<String, Value>) -> Value {
     if let Some(body) = request_body(operation, examples) {
         all["requestBody"] = body;
     }
-    if !operation.versioned() {
+    if !operation.versioned() && !operation.refused.contains(&ErrorKind::Unauthenticated) {
         // Health, metrics and this description are for all who reach the server.
         all["security"] = json!([]);
     }

@@ -15,7 +15,7 @@ const MAP_OR_NOTHING: &str = "^([a-z0-9][a-z0-9_-]{0,62})?$";
 const NAME_OR_NOTHING: &str = "^([A-Za-z0-9][A-Za-z0-9_.-]{0,62})?$";
 
 /// Fields that a request or answer always has, beside those that an answer writes out by the rules of proto3 JSON.
-const NEEDED: [&str; 25] = [
+const NEEDED: [&str; 26] = [
     "Point.x",
     "Point.y",
     "Interval.min",
@@ -39,6 +39,7 @@ const NEEDED: [&str; 25] = [
     "CreateMapResponse.bounds",
     "GetMapResponse.config",
     "GetMapResponse.bounds",
+    "RobotPose.pose",
     "MapSummary.config",
     "MapSummary.bounds",
 ];
@@ -67,7 +68,10 @@ fn known(key: &str) -> Option<Value> {
                 { "type": "string", "enum": ["NaN", "Infinity", "-Infinity"] },
             ] },
         }),
-        "Scan.robot" | "RestoreSnapshotRequest.name" => json!({ "pattern": NAME_OR_NOTHING }),
+        "Scan.robot"
+        | "RestoreSnapshotRequest.name"
+        | "GetClassesRequest.snapshot"
+        | "CheckGuaranteedFreeRequest.snapshot" => json!({ "pattern": NAME_OR_NOTHING }),
         "Scan.footprint_radius" | "Scan.sweep_translation" => json!({ "minimum": 0, "maximum": MAX_ROBOT_LENGTH }),
         "Scan.sweep_rotation" => json!({ "minimum": 0, "maximum": std::f64::consts::TAU }),
         "CreateSnapshotRequest.name" => json!({ "pattern": NAME_RULE }),

@@ -44,8 +44,8 @@ fn the_description_knows_every_error_of_the_table() {
     let codes = document["components"]["schemas"]["Problem"]["properties"]["code"]["enum"].as_array().unwrap().clone();
     assert_eq!(codes, ErrorKind::ALL.iter().map(|kind| Value::from(kind.code())).collect::<Vec<_>>());
     let text = document.to_string();
-    // Errors of routes that are not there belong to no operation, and one is Zenoh's alone.
-    let elsewhere = [ErrorKind::RouteNotFound, ErrorKind::MethodNotAllowed];
+    // Errors of routes that are not there, and of a connection without TLS, belong to no operation.
+    let elsewhere = [ErrorKind::RouteNotFound, ErrorKind::MethodNotAllowed, ErrorKind::TlsRequired];
     for kind in ErrorKind::ALL.iter().filter(|kind| !elsewhere.contains(kind)) {
         assert!(text.contains(&format!("- `{}`: ", kind.code())), "{kind:?} is an error of no operation");
     }
@@ -77,6 +77,7 @@ fn every_answer_that_is_shown_has_the_form_of_its_message() {
             "CreateSnapshotResponse" => holds::<v1::CreateSnapshotResponse>,
             "ListSnapshotsResponse" => holds::<v1::ListSnapshotsResponse>,
             "RestoreSnapshotResponse" => holds::<v1::RestoreSnapshotResponse>,
+            "ListRobotsResponse" => holds::<v1::ListRobotsResponse>,
             "ImportMapResponse" => holds::<v1::ImportMapResponse>,
             // Requests are tried on a server.
             _ => {
@@ -87,7 +88,7 @@ fn every_answer_that_is_shown_has_the_form_of_its_message() {
         hold(example);
         answers += 1;
     }
-    assert_eq!(answers, 15);
+    assert_eq!(answers, 16);
 }
 
 fn each(value: &Value, seen: &mut impl FnMut(&Value)) {

@@ -104,6 +104,13 @@ pub const EXPORT_FORMAT: Parameter = query(
 );
 pub const EXPORT_SNAPSHOT: Parameter =
     query("snapshot", Kind::Name(NAME_RULE), "A snapshot in place of the current revision.");
+pub const SNAPSHOT: Parameter =
+    query("snapshot", Kind::Name(NAME_RULE), "The snapshot to read; left out: the map as it is now.");
+pub const ROBOTS: Parameter = query(
+    "robots",
+    Kind::Flag,
+    "With the robots whose scans were applied: all in the first message, then those of the commits.",
+);
 pub const EXPORT_DEPTH: Parameter =
     query("depth", Kind::Whole(0, 24), "Depth of the raster of the format `nav2`; default the map's.");
 pub const EXPORT_MODE: Parameter = query(

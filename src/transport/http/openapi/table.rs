@@ -137,6 +137,7 @@ pub static GET_CLASSES: Operation = Operation {
         TooManyPoints,
         NotAcceptable,
         MapNotFound,
+        SnapshotNotFound,
         BodyTooLarge,
         UnsupportedMediaType,
         MapDamaged,
@@ -163,6 +164,7 @@ pub static CHECK_GUARANTEED_FREE: Operation = Operation {
         ToleranceTooHigh,
         NotAcceptable,
         MapNotFound,
+        SnapshotNotFound,
         BodyTooLarge,
         UnsupportedMediaType,
         MapDamaged,
@@ -175,7 +177,7 @@ pub static GET_REGION: Operation = Operation {
     tag: QUERIES,
     summary: "Read the quadtree's leaves in a box",
     text: "A node that is cut by `depth` appears with its maximum class.",
-    parameters: &[at::MAP, at::MIN_X, at::MIN_Y, at::MAX_X, at::MAX_Y, at::DEPTH, at::BLOCKS],
+    parameters: &[at::MAP, at::MIN_X, at::MIN_Y, at::MAX_X, at::MAX_Y, at::DEPTH, at::BLOCKS, at::SNAPSHOT],
     answers: &[(200, Content::Message("GetRegionResponse"))],
     refused: &[
         InvalidName,
@@ -185,6 +187,7 @@ pub static GET_REGION: Operation = Operation {
         RegionTooLarge,
         NotAcceptable,
         MapNotFound,
+        SnapshotNotFound,
         MapDamaged,
     ],
     ..PLAIN
@@ -197,7 +200,7 @@ pub static GET_GRID: Operation = Operation {
     summary: "Read a dense raster of a box",
     text: "By `Accept` or `format`: JSON, protobuf, a NumPy array (u8, row 0 at min_y) or a PNG image (the top row \
         at max_y; free white, unknown grey, occupied black). The headers `ubbmap-*` tell where it lies.",
-    parameters: &[at::MAP, at::MIN_X, at::MIN_Y, at::MAX_X, at::MAX_Y, at::CELL_DEPTH, at::GRID_FORMAT],
+    parameters: &[at::MAP, at::MIN_X, at::MIN_Y, at::MAX_X, at::MAX_Y, at::CELL_DEPTH, at::GRID_FORMAT, at::SNAPSHOT],
     answers: &[(200, Content::Raster)],
     refused: &[
         InvalidName,
@@ -207,8 +210,21 @@ pub static GET_GRID: Operation = Operation {
         RegionTooLarge,
         NotAcceptable,
         MapNotFound,
+        SnapshotNotFound,
         MapDamaged,
     ],
+    ..PLAIN
+};
+
+pub static LIST_ROBOTS: Operation = Operation {
+    id: "ListRobots",
+    path: "/v1/maps/{map}/robots",
+    tag: QUERIES,
+    summary: "Read where the robots are",
+    text: "As their last applied scans say. Kept in memory alone: after a restart a robot appears with its next scan.",
+    parameters: &[at::MAP],
+    answers: &[(200, Content::Message("ListRobotsResponse"))],
+    refused: &[InvalidName, InvalidRequest, NotAcceptable, MapNotFound, MapDamaged],
     ..PLAIN
 };
 
@@ -219,9 +235,18 @@ pub static GET_TILE: Operation = Operation {
     summary: "Read a tile",
     text: "The node `(z, x, y)` drawn with 256 x 256 cells of depth `z + 8` (below the leaves, a leaf fills \
         several), with a strong tag of its contents: the tag stays where other parts of the map change.",
-    parameters: &[at::MAP, at::Z, at::X, at::Y, at::ENDING, at::IF_NONE_MATCH],
+    parameters: &[at::MAP, at::Z, at::X, at::Y, at::ENDING, at::SNAPSHOT, at::IF_NONE_MATCH],
     answers: &[(200, Content::Tile), (304, Content::None)],
-    refused: &[InvalidName, InvalidRequest, TileOutOfRange, RegionTooLarge, NotAcceptable, MapNotFound, MapDamaged],
+    refused: &[
+        InvalidName,
+        InvalidRequest,
+        TileOutOfRange,
+        RegionTooLarge,
+        NotAcceptable,
+        MapNotFound,
+        SnapshotNotFound,
+        MapDamaged,
+    ],
     ..PLAIN
 };
 
@@ -263,6 +288,7 @@ pub static WATCH_MAP: Operation = Operation {
         at::MAX_Y,
         at::CELL_DEPTH,
         at::CONTENTS,
+        at::ROBOTS,
         at::LAST_EVENT_ID,
     ],
     answers: &[(200, Content::Events)],
@@ -417,7 +443,9 @@ pub static METRICS: Operation = Operation {
     id: "GetMetrics",
     path: "/metrics",
     summary: "Metrics in the text form of Prometheus",
+    text: "For those who may read all maps; where administration has an address of its own, there alone, for everybody.",
     answers: &[(200, Content::Metrics)],
+    refused: &[Unauthenticated, PermissionDenied, RouteNotFound],
     ..PLAIN
 };
 
@@ -441,7 +469,7 @@ pub static DOCS: Operation = Operation {
 };
 
 /// All of them, in an order in which they can be tried on an empty server.
-pub static OPERATIONS: [&Operation; 24] = [
+pub static OPERATIONS: [&Operation; 25] = [
     &CREATE_MAP,
     &LIST_MAPS,
     &GET_MAP,
@@ -451,6 +479,7 @@ pub static OPERATIONS: [&Operation; 24] = [
     &GET_REGION,
     &GET_GRID,
     &GET_TILE,
+    &LIST_ROBOTS,
     &GET_CHANGES,
     &WATCH_MAP,
     &CREATE_SNAPSHOT,
