@@ -195,7 +195,13 @@ impl Server {
         let limits = &config.limits;
         let door = Door::new(DoorSettings {
             requests: limits.requests,
+            insertions: limits.insertions,
             streams: limits.streams,
+            streams_per_client: limits.streams_per_client,
+            connections_per_client: limits.connections_per_client,
+            header_bytes: limits.header_bytes,
+            incoming_bytes: limits.incoming_bytes,
+            answer_bytes: limits.answer_bytes,
             transfers: limits.transfers,
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
@@ -224,6 +230,9 @@ impl Server {
         let serve_limits = ServeLimits {
             connections: limits.connections,
             header_timeout: seconds(limits.header_seconds),
+            idle_timeout: seconds(limits.idle_seconds),
+            requests_per_connection: u32::try_from(limits.requests_per_connection).unwrap_or(u32::MAX),
+            clients: Arc::clone(door.connections()),
             grace: config.grace(),
         };
         let watch = Watch::start(watched, reload::LOOK).map_err(AppError::Signal)?;
@@ -318,7 +327,7 @@ fn routes(config: &Config, service: Guarded, door: &Door, outside: OutsideView) 
         scans_per_stream: limits.scans_per_stream,
     };
     let rpc = grpc::router(service, settings, door.clone()).map_err(AppError::Reflection)?;
-    Ok(telemetry::trace_requests(rest.merge(rpc)))
+    Ok(telemetry::trace_requests(rest.merge(rpc).layer(http::cors(&config.origins()))))
 }
 
 /// The addresses that the settings name, taken. Connections wait there until a server answers them.

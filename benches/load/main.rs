@@ -3,6 +3,8 @@
 //!
 //! `cargo bench --bench load -- [grpc] [zenoh] [--robots 100] [--rate 5000] [--seconds 10] [--window 32] [--queries 1000]`
 //!
+//! `cargo bench --bench load -- overload [--robots 40] [--seconds 20]`: five times what it can carry (`overload.rs`).
+//!
 //! `--rate`: scans a second of all robots together; `--window`: scans of one robot under way at most; `--queries`: tiles, and as
 //! many guaranteed-free queries, a second. A scan's latency is from its sending to its acknowledgement, a query's from when it
 //! was due to its answer.
@@ -15,6 +17,7 @@
 )]
 
 mod figures;
+mod overload;
 mod planners;
 mod robots;
 mod server;
@@ -43,6 +46,8 @@ pub struct Options {
 enum Transport {
     Grpc,
     Zenoh,
+    /// Not a transport: five times what gRPC carries.
+    Overload,
 }
 
 fn options() -> Options {
@@ -54,6 +59,7 @@ fn options() -> Options {
         match word.as_str() {
             "grpc" => options.transports.push(Transport::Grpc),
             "zenoh" => options.transports.push(Transport::Zenoh),
+            "overload" => options.transports.push(Transport::Overload),
             "--robots" => options.robots = number() as usize,
             "--rate" => options.rate = number(),
             "--seconds" => options.seconds = number(),
@@ -74,6 +80,9 @@ fn main() {
     let options = options();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let fleet = Arc::new(Fleet::new(options.robots));
+    if options.transports == [Transport::Overload] {
+        return runtime.block_on(overload::run(options.robots, options.seconds, &fleet));
+    }
     println!(
         "{} robots, {:.0} scans/s of 360 beams offered, {} under way a robot; {:.0} tiles/s and {:.0} guaranteed-free/s",
         options.robots, options.rate, options.window, options.queries, options.queries
@@ -83,7 +92,12 @@ fn main() {
         "", "scans/s", "ack p50", "ack p99", "tile p50", "tile p99", "free p50", "free p99", "CPU", "clients", "memory"
     );
     for transport in options.transports.clone() {
-        runtime.block_on(measure(transport, &options, &fleet));
+        runtime.block_on(async {
+            match transport {
+                Transport::Overload => overload::run(options.robots, options.seconds, &fleet).await,
+                _ => measure(transport, &options, &fleet).await,
+            }
+        });
     }
 }
 
@@ -98,6 +112,7 @@ async fn measure(transport: Transport, options: &Options, fleet: &Arc<Fleet>) {
     match transport {
         Transport::Grpc => robots::grpc(&server, options, fleet, &acknowledged, begin, end, &mut work).await,
         Transport::Zenoh => robots::zenoh(&server, options, fleet, &acknowledged, begin, end, &mut work).await,
+        Transport::Overload => return,
     }
     planners::ask(&server, options.queries, fleet, &planners, begin, end, &mut work).await;
     tokio::time::sleep_until((begin + WARM_UP).into()).await;

@@ -49,8 +49,9 @@ impl Fleet {
         self.places[turn * 31 % self.places.len()]
     }
 
-    fn scan(&self, robot: usize, sequence: u64) -> v1::Scan {
-        let scans = &self.robots[robot];
+    /// A robot's scan under a number; robots beyond those of the fleet send what others do.
+    pub fn scan(&self, robot: usize, sequence: u64) -> v1::Scan {
+        let scans = &self.robots[robot % self.robots.len()];
         v1::Scan { sequence: Some(sequence), ..scans[sequence as usize % scans.len()].clone() }
     }
 }

@@ -41,6 +41,18 @@ const MOST_FACTOR: f64 = 1e6;
 /// Most threads for evidence.
 const MOST_THREADS: usize = 1024;
 
+/// Least room for the head of a request, bytes: what browsers and proxies send.
+const LEAST_HEAD: usize = 1024;
+
+/// Most of it: heads are read no farther.
+const MOST_HEAD: usize = 64 << 10;
+
+/// Deepest quadtree that there is.
+const MOST_DEPTH: usize = 24;
+
+/// Longest name by the rules of names, bytes.
+const MOST_NAME: usize = 63;
+
 /// Names farther away than this share of their letters are not offered.
 const LEAST_SIMILARITY: f64 = 0.7;
 
@@ -117,6 +129,7 @@ impl Config {
             ("limits.request_seconds", limits.request_seconds, 86_400.0),
             ("limits.transfer_seconds", limits.transfer_seconds, 86_400.0),
             ("limits.header_seconds", limits.header_seconds, 86_400.0),
+            ("limits.idle_seconds", limits.idle_seconds, 86_400.0),
         ];
         for (key, value, most) in numbers {
             if !(value > 0.0 && value <= most) {
@@ -131,6 +144,7 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
+        self.check_origins()?;
         self.telemetry.check()?;
         self.tls.check()?;
         let client_auth = (!self.tls.cert.is_empty()).then_some(self.tls.client_auth);
@@ -140,6 +154,25 @@ impl Config {
 }
 
 impl Config {
+    /// The origins whose pages may use this server.
+    pub(crate) fn origins(&self) -> Vec<&str> {
+        self.cors_origins.split(',').map(str::trim).filter(|origin| !origin.is_empty()).collect()
+    }
+
+    fn check_origins(&self) -> Result<(), ConfigError> {
+        for origin in self.origins() {
+            let host = origin.strip_prefix("https://").or_else(|| origin.strip_prefix("http://"));
+            let named = host.is_some_and(|host| {
+                !host.is_empty() && host.bytes().all(|byte| byte.is_ascii_graphic() && !b"/?#@*".contains(&byte))
+            });
+            if origin != "*" && !named {
+                let problem = format!("must be origins such as https://app.example.org, or \"*\", got {origin:?}");
+                return Err(bad("cors_origins", problem));
+            }
+        }
+        Ok(())
+    }
+
     fn check_rewrite(&self) -> Result<(), ConfigError> {
         let rewrite = &self.rewrite;
         if !(LEAST_FACTOR..=MOST_FACTOR).contains(&rewrite.factor) {
@@ -170,7 +203,11 @@ impl Config {
             ("limits.robots_per_map", limits.robots_per_map),
             ("limits.snapshots", limits.snapshots),
             ("limits.connections", limits.connections),
+            ("limits.connections_per_client", limits.connections_per_client),
+            ("limits.requests_per_connection", limits.requests_per_connection),
             ("limits.requests", limits.requests),
+            ("limits.insertions", limits.insertions),
+            ("limits.streams_per_client", limits.streams_per_client),
             ("limits.streams", limits.streams),
             ("limits.transfers", limits.transfers),
             ("limits.scans_per_stream", limits.scans_per_stream),
@@ -190,6 +227,11 @@ impl Config {
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
         let others = [
             ("limits.insert_bytes", bytes),
+            ("limits.incoming_bytes", (limits.incoming_bytes, limits.body_bytes, MOST_BYTES)),
+            ("limits.answer_bytes", (limits.answer_bytes, LEAST_CACHE, MOST_BYTES)),
+            ("limits.header_bytes", (limits.header_bytes, LEAST_HEAD, MOST_HEAD)),
+            ("limits.depth", (limits.depth, 1, MOST_DEPTH)),
+            ("limits.name_bytes", (limits.name_bytes, 1, MOST_NAME)),
             ("writer.evidence_threads", threads),
             ("cache.block_bytes", blocks),
             ("cache.snapshot_bytes", snapshots),

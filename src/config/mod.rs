@@ -53,6 +53,8 @@ pub enum LogFormat {
 pub struct Config {
     /// Address to listen on.
     pub listen: SocketAddr,
+    /// Origins whose pages may use this server from a browser, with commas between.
+    pub cors_origins: String,
     /// Address for administration and metrics; empty where `listen` has them too.
     pub admin_listen: String,
     /// Allow an address beyond loopback without tokens.
@@ -95,6 +97,12 @@ pub struct Limits {
     pub config_bytes: usize,
     /// Largest map file that is imported, bytes.
     pub import_bytes: usize,
+    /// Bytes of all requests that are being read or worked on.
+    pub incoming_bytes: usize,
+    /// Bytes of all large answers on their way out.
+    pub answer_bytes: usize,
+    /// Largest head of a request, bytes.
+    pub header_bytes: usize,
     /// Most scans of one request.
     pub scans_per_request: usize,
     /// Most beams of one scan.
@@ -113,6 +121,10 @@ pub struct Limits {
     pub leaves_per_answer: usize,
     /// Most cells of a grid answer.
     pub cells_per_answer: usize,
+    /// Deepest quadtree of a new map.
+    pub depth: usize,
+    /// Longest name of a new map, sensor, robot or snapshot, bytes.
+    pub name_bytes: usize,
     /// Most maps.
     pub maps: usize,
     /// Most robots of one map that send numbered scans.
@@ -121,10 +133,18 @@ pub struct Limits {
     pub snapshots: usize,
     /// Most connections open at once.
     pub connections: usize,
+    /// Most connections of one client.
+    pub connections_per_client: usize,
+    /// Most requests and streams of one connection of HTTP/2 at once.
+    pub requests_per_connection: usize,
     /// Most requests worked on at once.
     pub requests: usize,
+    /// Of these, most insertions.
+    pub insertions: usize,
     /// Most streams of scans and watches open at once.
     pub streams: usize,
+    /// Most of these of one client.
+    pub streams_per_client: usize,
     /// Most map files on their way to or from clients at once.
     pub transfers: usize,
     /// Most scans of one stream that are not acknowledged yet.
@@ -139,6 +159,8 @@ pub struct Limits {
     pub transfer_seconds: f64,
     /// Longest time for a request's head to arrive, seconds.
     pub header_seconds: f64,
+    /// Longest time for a connection without a request, and for a write to a client to move, seconds.
+    pub idle_seconds: f64,
 }
 
 /// Memory for maps.
@@ -191,6 +213,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            cors_origins: String::new(),
             admin_listen: String::new(),
             insecure: false,
             data_dir: PathBuf::from("ubbmap-data"),
@@ -216,6 +239,9 @@ impl Default for Limits {
             body_bytes: 16 << 20,
             config_bytes: 1 << 20,
             import_bytes: 256 << 20,
+            incoming_bytes: 256 << 20,
+            answer_bytes: 256 << 20,
+            header_bytes: 16 << 10,
             scans_per_request: 1024,
             beams_per_scan: 20_000,
             pose_width: 2.0,
@@ -225,12 +251,18 @@ impl Default for Limits {
             points_per_region: 4096,
             leaves_per_answer: 1_000_000,
             cells_per_answer: 16_777_216,
+            depth: 24,
+            name_bytes: 63,
             maps: 10_000,
             robots_per_map: 10_000,
             snapshots: 10_000,
             connections: 1024,
+            connections_per_client: 512,
+            requests_per_connection: 256,
             requests: 256,
+            insertions: 192,
             streams: 1024,
+            streams_per_client: 512,
             transfers: 8,
             scans_per_stream: 64,
             insert_bytes: 512 << 20,
@@ -238,6 +270,7 @@ impl Default for Limits {
             request_seconds: 30.0,
             transfer_seconds: 600.0,
             header_seconds: 10.0,
+            idle_seconds: 120.0,
         }
     }
 }
@@ -284,6 +317,8 @@ impl Config {
             max_regions: limits.regions_per_query,
             max_leaves: limits.leaves_per_answer,
             max_cells: limits.cells_per_answer,
+            max_depth: u8::try_from(limits.depth).unwrap_or(u8::MAX),
+            max_name_bytes: limits.name_bytes,
             max_maps: limits.maps,
             max_robots: limits.robots_per_map,
             max_snapshots: limits.snapshots,

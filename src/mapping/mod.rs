@@ -12,7 +12,10 @@ mod outside;
 pub mod reference;
 mod region;
 
-pub use config::{EvidenceRule, MAX_REACH_CELLS, MAX_SPREAD_CELLS, MapConfig, MapConfigError, is_name};
+pub use config::{
+    EvidenceRule, MAX_OBSTACLE_WIDTH, MAX_REACH_CELLS, MAX_SENSORS, MAX_SPREAD_CELLS, MapConfig, MapConfigError,
+    is_name,
+};
 pub use evidence::{Fault, Surveyor};
 pub use free::{FreeAnswer, Reason, Witness, guaranteed_free, try_guaranteed_free};
 pub use gaussian::{CellPoint, GaussianGrid, GaussianModel};

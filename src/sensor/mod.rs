@@ -13,6 +13,9 @@ mod scan;
 pub use cone::{BeamCone, BeamRectangle, EmptyCone};
 pub use error::ScanError;
 pub use measurement::{MeasurementSet, apex_offset, natural_measurement_box};
-pub use model::{Mount, SensorError, SensorModel, SensorSpec};
+pub use model::{
+    MAX_ANGLE_ERROR, MAX_BEAM_DIAMETER, MAX_LENGTH, MAX_MOUNT_OFFSET, MAX_MOUNT_THETA, Mount, SensorError, SensorModel,
+    SensorSpec,
+};
 pub use pose::{MAX_HEADING, MAX_POSITION, PoseBox, PoseLimits};
-pub use scan::{Angles, MAX_ANGLE, Reading, ReadingCounts, Scan, ScanLimits, ScanSpec};
+pub use scan::{Angles, MAX_ANGLE, MAX_ROBOT_LENGTH, Reading, ReadingCounts, Scan, ScanLimits, ScanSpec};

@@ -9,7 +9,7 @@ use std::sync::Arc;
 #[test]
 fn others_in_the_way_are_busy_and_a_request_of_its_own_size_is_too_large() {
     let budget = Arc::new(Budget::new(100));
-    let (first, second) = (budget.reservation(), budget.reservation());
+    let (first, second) = (budget.reservation("a"), budget.reservation("b"));
     first.grow(60).unwrap();
     second.grow(40).unwrap();
     assert_eq!(second.grow(1).unwrap_err().kind, ErrorKind::Busy);
@@ -31,7 +31,7 @@ fn many_threads_never_hold_more_than_the_limit() {
             let budget = &budget;
             scope.spawn(move || {
                 for i in 0..20_000 {
-                    let reservation = budget.reservation();
+                    let reservation = budget.reservation(&format!("r{}", thread % 2));
                     for _ in 0..3 {
                         let _ = reservation.grow(100 * thread + i % 50);
                     }
@@ -41,4 +41,23 @@ fn many_threads_never_hold_more_than_the_limit() {
         }
     });
     assert_eq!(budget.used(), 0);
+}
+
+#[test]
+fn over_half_used_a_robot_keeps_to_its_share_of_the_memory() {
+    let budget = Arc::new(Budget::new(100));
+    let greedy: Vec<_> = (0..5).map(|_| budget.reservation("greedy")).collect();
+    greedy.iter().for_each(|reservation| reservation.grow(10).unwrap());
+    let other = budget.reservation("b");
+    other.grow(20).unwrap();
+    // Two robots: half each, and the greedy one has it.
+    let more = budget.reservation("greedy");
+    let refused = more.grow(1).unwrap_err();
+    assert_eq!(refused.kind, ErrorKind::Busy);
+    assert!(refused.detail.contains("\"greedy\"") && refused.detail.contains("limits.insert_bytes"), "{refused}");
+    // A robot's only request may take what there is.
+    other.grow(30).unwrap();
+    assert_eq!(budget.used(), 100);
+    drop((greedy, other));
+    more.grow(100).unwrap();
 }

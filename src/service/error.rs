@@ -2,87 +2,66 @@
 
 use thiserror::Error;
 
-/// What kind of failure: each has a stable code, and each transport one row in its status table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[expect(missing_docs, reason = "the names and codes say it")]
-pub enum ErrorKind {
-    MapNotFound,
-    MapExists,
-    SnapshotNotFound,
-    SnapshotExists,
-    InvalidName,
-    InvalidConfig,
-    InvalidRequest,
-    InvalidRegion,
-    InvalidPoint,
-    DepthOutOfRange,
-    TileOutOfRange,
-    RegionTooLarge,
-    TooManyPoints,
-    TooManyRegions,
-    TooManyScans,
-    TooManyMaps,
-    TooManySnapshots,
-    InvalidFile,
-    BodyTooLarge,
-    ToleranceTooHigh,
-    UnsupportedMediaType,
-    NotAcceptable,
-    MethodNotAllowed,
-    RouteNotFound,
-    Unauthenticated,
-    PermissionDenied,
-    Busy,
-    ShuttingDown,
-    Timeout,
-    AnotherServer,
-    TlsRequired,
-    MapDamaged,
-    StoreFailed,
-    Internal,
+macro_rules! kinds {
+    ($($kind:ident => $code:literal,)+) => {
+        /// What kind of failure: each has a stable code, and each transport one row in its status table.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        #[expect(missing_docs, reason = "the names and codes say it")]
+        pub enum ErrorKind {
+            $($kind,)+
+        }
+
+        impl ErrorKind {
+            /// All of them, for those who describe the interface.
+            pub const ALL: &[Self] = &[$(Self::$kind,)+];
+
+            /// The stable word that clients see.
+            #[must_use]
+            pub fn code(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $code,)+
+                }
+            }
+        }
+    };
 }
 
-impl ErrorKind {
-    /// The stable word that clients see.
-    #[must_use]
-    pub fn code(self) -> &'static str {
-        match self {
-            Self::MapNotFound => "MAP_NOT_FOUND",
-            Self::MapExists => "MAP_EXISTS",
-            Self::SnapshotNotFound => "SNAPSHOT_NOT_FOUND",
-            Self::SnapshotExists => "SNAPSHOT_EXISTS",
-            Self::InvalidName => "INVALID_NAME",
-            Self::InvalidConfig => "INVALID_CONFIG",
-            Self::InvalidRequest => "INVALID_REQUEST",
-            Self::InvalidRegion => "INVALID_REGION",
-            Self::InvalidPoint => "INVALID_POINT",
-            Self::DepthOutOfRange => "DEPTH_OUT_OF_RANGE",
-            Self::TileOutOfRange => "TILE_OUT_OF_RANGE",
-            Self::RegionTooLarge => "REGION_TOO_LARGE",
-            Self::TooManyPoints => "TOO_MANY_POINTS",
-            Self::TooManyRegions => "TOO_MANY_REGIONS",
-            Self::TooManyScans => "TOO_MANY_SCANS",
-            Self::TooManyMaps => "TOO_MANY_MAPS",
-            Self::TooManySnapshots => "TOO_MANY_SNAPSHOTS",
-            Self::InvalidFile => "INVALID_FILE",
-            Self::BodyTooLarge => "BODY_TOO_LARGE",
-            Self::ToleranceTooHigh => "TOLERANCE_TOO_HIGH",
-            Self::UnsupportedMediaType => "UNSUPPORTED_MEDIA_TYPE",
-            Self::NotAcceptable => "NOT_ACCEPTABLE",
-            Self::MethodNotAllowed => "METHOD_NOT_ALLOWED",
-            Self::RouteNotFound => "ROUTE_NOT_FOUND",
-            Self::Unauthenticated => "UNAUTHENTICATED",
-            Self::PermissionDenied => "PERMISSION_DENIED",
-            Self::Busy => "BUSY",
-            Self::ShuttingDown => "SHUTTING_DOWN",
-            Self::Timeout => "TIMEOUT",
-            Self::AnotherServer => "ANOTHER_SERVER",
-            Self::TlsRequired => "TLS_REQUIRED",
-            Self::MapDamaged => "MAP_DAMAGED",
-            Self::StoreFailed => "STORE_FAILED",
-            Self::Internal => "INTERNAL",
-        }
-    }
+kinds! {
+    MapNotFound => "MAP_NOT_FOUND",
+    MapExists => "MAP_EXISTS",
+    SnapshotNotFound => "SNAPSHOT_NOT_FOUND",
+    SnapshotExists => "SNAPSHOT_EXISTS",
+    InvalidName => "INVALID_NAME",
+    InvalidConfig => "INVALID_CONFIG",
+    InvalidRequest => "INVALID_REQUEST",
+    InvalidRegion => "INVALID_REGION",
+    InvalidPoint => "INVALID_POINT",
+    DepthOutOfRange => "DEPTH_OUT_OF_RANGE",
+    TileOutOfRange => "TILE_OUT_OF_RANGE",
+    RegionTooLarge => "REGION_TOO_LARGE",
+    TooManyPoints => "TOO_MANY_POINTS",
+    TooManyRegions => "TOO_MANY_REGIONS",
+    TooManyScans => "TOO_MANY_SCANS",
+    TooManyMaps => "TOO_MANY_MAPS",
+    TooManySnapshots => "TOO_MANY_SNAPSHOTS",
+    InvalidFile => "INVALID_FILE",
+    BodyTooLarge => "BODY_TOO_LARGE",
+    HeadersTooLarge => "HEADERS_TOO_LARGE",
+    ToleranceTooHigh => "TOLERANCE_TOO_HIGH",
+    UnsupportedMediaType => "UNSUPPORTED_MEDIA_TYPE",
+    NotAcceptable => "NOT_ACCEPTABLE",
+    MethodNotAllowed => "METHOD_NOT_ALLOWED",
+    RouteNotFound => "ROUTE_NOT_FOUND",
+    Unauthenticated => "UNAUTHENTICATED",
+    PermissionDenied => "PERMISSION_DENIED",
+    Busy => "BUSY",
+    ShuttingDown => "SHUTTING_DOWN",
+    Timeout => "TIMEOUT",
+    AnotherServer => "ANOTHER_SERVER",
+    TlsRequired => "TLS_REQUIRED",
+    MapDamaged => "MAP_DAMAGED",
+    StoreFailed => "STORE_FAILED",
+    Internal => "INTERNAL",
 }
 
 /// A failure as a client sees it.

@@ -1,13 +1,16 @@
 //! From requests to evidence: every scan checked and computed on its own, on all cores, before the map's writer.
 
 use super::budget::{Budget, Reservation};
+use super::failures::map_not_found;
+use super::fair::Place;
+use super::limits::over;
 use super::metrics;
 use super::robots::Sighting;
 use super::writer::{Job, Numbered, Published, Request, ScanEvidence};
-use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings};
+use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings, setting};
 use crate::mapping::{MapConfig, Surveyor};
 use crate::quadtree::{BlockMasks, LeafMasks, RowMask};
-use crate::sensor::{Angles, PoseBox, Scan, ScanSpec, SensorModel};
+use crate::sensor::{Angles, PoseBox, Scan, ScanError, ScanSpec, SensorModel};
 use crate::store::{MapName, RobotName, SequenceVerdict};
 use rayon::prelude::*;
 use std::cell::RefCell;
@@ -21,6 +24,10 @@ const DEFAULT_SENSOR: &str = "default";
 
 /// Bytes of a decoded scan beside its ranges and angles, about.
 const SCAN_OVERHEAD: usize = 512;
+
+/// How far behind, in steps of `nice`: on a full core about a fifth of the time is left.
+#[cfg(target_os = "linux")]
+const BEHIND: i32 = 8;
 
 thread_local! {
     /// Scratch memory of this thread.
@@ -42,8 +49,9 @@ pub(super) struct Task {
     pub(super) settings: Arc<ServiceSettings>,
     pub(super) scans: Vec<ScanInput>,
     pub(super) reservation: Reservation,
-    /// The request's place in the writer's queue.
-    pub(super) place: mpsc::OwnedPermit<Request>,
+    /// The request's place in the writer's queue, and the queue.
+    pub(super) place: Place,
+    pub(super) queue: mpsc::UnboundedSender<Request>,
     pub(super) inside: super::gate::Inside,
     pub(super) reply: oneshot::Sender<Result<InsertAnswer, ServiceError>>,
 }
@@ -67,6 +75,7 @@ impl EvidencePool {
         let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(settings.evidence_threads)
             .thread_name(|i| format!("evidence-{i}"))
+            .start_handler(|_| step_back())
             .build()
             .map_err(|e| ServiceError::new(ErrorKind::Internal, format!("cannot start threads for evidence: {e}")))?;
         Ok(Self { threads, budget: Arc::new(Budget::new(settings.max_bytes_in_flight)) })
@@ -75,6 +84,16 @@ impl EvidencePool {
     /// Computes a request's evidence and hands it to the map's writer. Returns at once.
     pub(super) fn submit(&self, task: Task) {
         self.threads.spawn(move || task.run());
+    }
+}
+
+/// Evidence is the work that there is most of, and may take all cores. Behind the threads that answer, it takes what they
+/// leave: a query does not wait for scans, however many there are.
+fn step_back() {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::process::nice(BEHIND) {
+        // It only costs queries some milliseconds under full load.
+        tracing::debug!(%error, "a thread for evidence cannot step back");
     }
 }
 
@@ -113,7 +132,7 @@ impl Task {
             }
         }
         if exhausted.is_none() && !evidence.is_empty() {
-            self.place.send(Request::Scans(Job {
+            let job = Request::Scans(Job {
                 scans: evidence,
                 known,
                 restored: self.published.restored,
@@ -122,7 +141,12 @@ impl Task {
                 reservation: self.reservation,
                 queued: metrics::Queued::new(),
                 inside: self.inside,
-            }));
+                place: Some(self.place),
+            });
+            if let Err(mpsc::error::SendError(job)) = self.queue.send(job) {
+                // The map was deleted meanwhile.
+                job.refuse(map_not_found(&self.map));
+            }
             return;
         }
         // What the request held is given back before the answer, so that its sender's next request finds it free.
@@ -249,8 +273,14 @@ pub(super) fn too_old(sequence: u64, highest: Option<u64>) -> Refusal {
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the shape that map_err takes")]
-fn scan_refusal(error: crate::sensor::ScanError) -> Refusal {
-    (error.code(), error.to_string())
+fn scan_refusal(error: ScanError) -> Refusal {
+    let setting = match &error {
+        ScanError::PoseTooWide { field: "pose.theta", .. } => Some(setting::POSE_HEADING),
+        ScanError::PoseTooWide { .. } => Some(setting::POSE_WIDTH),
+        ScanError::TooManyBeams { .. } => Some(setting::BEAMS_PER_SCAN),
+        _ => None,
+    };
+    (error.code(), setting.map_or_else(|| error.to_string(), |setting| over(setting, &error)))
 }
 
 fn evidence_bytes(masks: &LeafMasks) -> usize {

@@ -26,6 +26,7 @@ const WATCHERS: &str = "ubbmap_watchers";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
+    super::limits::describe_metrics();
     describe_counter!(SCANS, "Scans by outcome: applied, duplicate, rejected, failed");
     describe_counter!(BEAMS_FAILED, "Beams of computed scans that were failed measurements");
     describe_counter!(COMMITS, "Commits by outcome: stored, failed");

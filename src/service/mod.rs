@@ -8,8 +8,10 @@ mod changes;
 mod error;
 mod evidence;
 mod failures;
+mod fair;
 mod gate;
 mod input;
+mod limits;
 mod metrics;
 mod nav2;
 mod queries;
@@ -28,6 +30,8 @@ mod writer;
 mod budget_tests;
 #[cfg(test)]
 mod evidence_tests;
+#[cfg(test)]
+mod fair_tests;
 #[cfg(test)]
 mod gate_tests;
 #[cfg(test)]
@@ -48,6 +52,7 @@ pub use answers::{
 pub use changes::Watch;
 pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
+pub use limits::{LIMITS, limit_hit, setting};
 pub use metrics::describe_metrics;
 pub use nav2::Nav2Mode;
 pub use robots::{RobotPose, RobotsAnswer};
@@ -116,6 +121,14 @@ impl MapService {
     /// [`ErrorKind::ShuttingDown`], [`ErrorKind::StoreFailed`].
     pub async fn insert(&self, name: &MapName, scans: Vec<ScanInput>) -> Result<InsertAnswer, ServiceError> {
         self.registry.insert(name, scans, WhenFull::Refuse).await
+    }
+
+    /// Refuses scans of a map whose queue is full, before they are looked at.
+    ///
+    /// # Errors
+    /// [`ErrorKind::MapNotFound`], [`ErrorKind::Busy`]
+    pub fn room(&self, name: &MapName) -> Result<(), ServiceError> {
+        self.registry.room(name)
     }
 
     /// As [`MapService::insert`], but waits for a place in the map's queue and for memory: for senders that are held
@@ -270,9 +283,15 @@ fn query_failure(name: &MapName, error: QueryError) -> ServiceError {
     }
 }
 
-fn limited(field: &str, count: usize, limit: usize, kind: ErrorKind) -> Result<(), ServiceError> {
+fn limited(
+    field: &str,
+    count: usize,
+    limit: usize,
+    kind: ErrorKind,
+    setting: &'static str,
+) -> Result<(), ServiceError> {
     if count <= limit {
         return Ok(());
     }
-    Err(ServiceError::new(kind, format!("{field} has {count} entries, the limit is {limit}")).at(field))
+    Err(ServiceError::over(kind, setting, format!("{field} has {count} entries, the limit is {limit}")).at(field))
 }

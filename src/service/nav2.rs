@@ -3,7 +3,7 @@
 //! What is written free is proven free: a cell is free where its class, the maximum over its leaves, is below unknown.
 
 use super::queries::QueryError;
-use super::{ErrorKind, ServiceError};
+use super::{ErrorKind, ServiceError, setting};
 use crate::mapping::{EvidenceRule, MapConfig};
 use crate::quadtree::{Class, ClassScale, LeafRange, NodeAddress, PagedTree};
 use std::fmt::Write as _;
@@ -100,7 +100,7 @@ impl Drawing<'_> {
             fits.map_or_else(|| "no depth fits".to_owned(), |levels| format!("depth {} fits", self.depth - levels));
         let detail =
             format!("the image has {width} x {height} cells at depth {}, the limit is {limit}; {hint}", self.depth);
-        Err(ServiceError::new(ErrorKind::RegionTooLarge, detail).at("depth"))
+        Err(ServiceError::over(ErrorKind::RegionTooLarge, setting::CELLS_PER_ANSWER, detail).at("depth"))
     }
 
     fn yaml(&self, range: &LeafRange) -> String {

@@ -2,7 +2,9 @@
 
 use super::stamps::{BlockBox, bare, time_of};
 use super::writer::Published;
-use super::{BoxQuery, ClassesAnswer, ErrorKind, FreeAnswers, Raster, RegionAnswer, ServiceError, ServiceSettings};
+use super::{
+    BoxQuery, ClassesAnswer, ErrorKind, FreeAnswers, Raster, RegionAnswer, ServiceError, ServiceSettings, setting,
+};
 use crate::mapping::{EvidenceRule, MapConfig, Region, try_guaranteed_free};
 use crate::quadtree::{Class, Grid, Leaf, LeafRange, NodeAddress, PageError, PagedTree};
 use crate::store::{MapId, StoreError};
@@ -158,7 +160,8 @@ impl Root {
                 return Ok(answer);
             }
             let what = format!("the region has {} blocks that changed, the limit is {limit}", answer.blocks.len());
-            return Err(ServiceError::new(ErrorKind::RegionTooLarge, what).at("blocks").into());
+            let error = ServiceError::over(ErrorKind::RegionTooLarge, setting::LEAVES_PER_ANSWER, what);
+            return Err(error.at("blocks").into());
         }
         drop(leaves);
         // A coarser reading never has more leaves, so the deepest that fits is found by halving; each trial stops at
@@ -175,7 +178,7 @@ impl Root {
             }
         }
         let what = format!("the region has more than {limit} leaves at depth {}, which is the limit", area.depth);
-        Err(too_large(&what, fits).into())
+        Err(too_large(setting::LEAVES_PER_ANSWER, &what, fits).into())
     }
 
     /// Visits leaves until there are more than `limit`; false when there are.
@@ -201,7 +204,7 @@ impl Root {
         let fits = (0..area.depth).rev().find(|depth| area.count(map_depth, *depth) <= limit);
         let (width, height) = (range.max_x - range.min_x, range.max_y - range.min_y);
         let what = format!("the grid has {width} x {height} cells at depth {}, the limit is {limit}", area.depth);
-        Err(too_large(&what, fits))
+        Err(too_large(setting::CELLS_PER_ANSWER, &what, fits))
     }
 
     /// Reads a raster.
@@ -316,9 +319,9 @@ fn axis(name: &str, min: Option<f64>, max: Option<f64>, root: (f64, f64)) -> Res
     Ok((min <= max).then_some((min, max)))
 }
 
-fn too_large(what: &str, fits: Option<u8>) -> ServiceError {
+fn too_large(setting: &'static str, what: &str, fits: Option<u8>) -> ServiceError {
     let hint = fits.map_or_else(|| "no depth fits".to_owned(), |depth| format!("depth {depth} fits"));
-    ServiceError::new(ErrorKind::RegionTooLarge, format!("{what}; {hint}")).at("depth")
+    ServiceError::over(ErrorKind::RegionTooLarge, setting, format!("{what}; {hint}")).at("depth")
 }
 
 /// Repeats every class `2^levels` times along both axes of a square raster.

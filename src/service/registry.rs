@@ -3,6 +3,7 @@
 use super::changes::{ChangeLog, NOTICES};
 use super::evidence::{EvidencePool, Task, input_bytes};
 use super::failures::{map_exists, map_not_found, store_error, store_failure, thread_failed};
+use super::fair::Places;
 use super::gate::Gate;
 use super::metrics;
 use super::rescue::Rescue;
@@ -12,7 +13,7 @@ use super::stamps::time_of;
 use super::writer::{Published, Request, Writer};
 use super::{
     CommitNotice, Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError,
-    ServiceSettings,
+    ServiceSettings, setting,
 };
 use crate::mapping::MapConfig;
 use crate::quadtree::BlockCache;
@@ -97,7 +98,9 @@ pub(super) struct Entry {
 /// A loaded map.
 pub(super) struct Opened {
     pub(super) published: Arc<ArcSwap<Published>>,
-    pub(super) queue: mpsc::Sender<Request>,
+    /// Whoever sends has a place among `places`, or is one of few.
+    pub(super) queue: mpsc::UnboundedSender<Request>,
+    pub(super) places: Arc<Places>,
     /// Cancelled when the writer has made its last commit.
     stopped: CancellationToken,
     _counted: metrics::Loaded,
@@ -190,7 +193,7 @@ impl Registry {
         let OpenMap { revision, tree, pager, windows, stamps } = loaded;
         let root = Published { revision, tree, windows: Arc::new(windows), stamps, restored: 0 };
         let published = Arc::new(ArcSwap::from_pointee(root));
-        let (sender, receiver) = mpsc::channel(self.settings.queue_length.clamp(1, Semaphore::MAX_PERMITS));
+        let (sender, receiver) = mpsc::unbounded_channel();
         let stopped = CancellationToken::new();
         let writer = Writer {
             name: entry.name.clone(),
@@ -202,10 +205,12 @@ impl Registry {
             robots: Arc::clone(&entry.robots),
             max_scans_per_commit: self.settings.max_scans_per_commit,
             max_robots: self.settings.max_robots,
+            max_name_bytes: self.settings.max_name_bytes,
             max_snapshots: self.settings.max_snapshots,
         };
         tokio::spawn(writer.run(receiver, entry.stop.clone(), stopped.clone()));
-        Ok(Opened { published, queue: sender, stopped, _counted: metrics::Loaded::new() })
+        let places = Places::new(self.settings.queue_length);
+        Ok(Opened { published, queue: sender, places, stopped, _counted: metrics::Loaded::new() })
     }
 
     /// Creates a map or takes over added and replaced sensors. Runs to its end even if the caller goes away.
@@ -229,6 +234,7 @@ impl Registry {
     }
 
     async fn create_new(&self, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
+        self.may_be_new(name, &config)?;
         self.room_for_a_map()?;
         if self.table.read().unwrap_or_else(PoisonError::into_inner).coming.contains(name) {
             return Err(map_exists(name));
@@ -244,6 +250,28 @@ impl Registry {
         Ok(Created { created: true, map: entry.describe(Vec::new()) })
     }
 
+    /// Holds what a new map is to the limits; those that are there stay as they are.
+    pub(super) fn may_be_new(&self, name: &MapName, config: &MapConfig) -> Result<(), ServiceError> {
+        self.may_be_named(name.as_str(), "map")?;
+        config.sensors().keys().try_for_each(|sensor| self.may_be_named(sensor, "config.sensors"))?;
+        let (depth, most) = (config.grid().depth(), self.settings.max_depth);
+        if depth <= most {
+            return Ok(());
+        }
+        let detail = format!("depth is {depth}, the limit of this server is {most}");
+        Err(ServiceError::over(ErrorKind::InvalidConfig, setting::DEPTH, detail).at("config.depth"))
+    }
+
+    /// Holds a new name to its limit; the rule of its letters is looked at elsewhere.
+    pub(super) fn may_be_named(&self, name: &str, field: &str) -> Result<(), ServiceError> {
+        let most = self.settings.max_name_bytes;
+        if name.len() <= most {
+            return Ok(());
+        }
+        let detail = format!("the name {name:?} has {} bytes, the limit of this server is {most}", name.len());
+        Err(ServiceError::over(ErrorKind::InvalidName, setting::NAME_BYTES, detail).at(field))
+    }
+
     fn room_for_a_map(&self) -> Result<(), ServiceError> {
         let limit = self.settings.max_maps;
         let table = self.table.read().unwrap_or_else(PoisonError::into_inner);
@@ -251,7 +279,7 @@ impl Registry {
             return Ok(());
         }
         let detail = format!("the server has {limit} maps, which is the limit");
-        Err(ServiceError::new(ErrorKind::TooManyMaps, detail))
+        Err(ServiceError::over(ErrorKind::TooManyMaps, setting::MAPS, detail))
     }
 
     async fn reconfigure(&self, entry: &Entry, config: MapConfig) -> Result<(), ServiceError> {
@@ -347,6 +375,14 @@ impl Registry {
         Ok(description)
     }
 
+    /// Refuses scans of a map whose queue is full, before they are looked at.
+    pub(super) fn room(&self, name: &MapName) -> Result<(), ServiceError> {
+        match self.find(name)?.opened.get() {
+            Some(opened) if opened.places.full() => Err(opened.places.refusal()),
+            _ => Ok(()),
+        }
+    }
+
     /// Computes scans and waits until their commit is durable.
     pub(super) async fn insert(
         &self,
@@ -358,21 +394,17 @@ impl Registry {
         let limit = self.settings.max_scans_per_request;
         if scans.len() > limit {
             let detail = format!("scans has {} entries, the limit is {limit} a request", scans.len());
-            return Err(ServiceError::new(ErrorKind::TooManyScans, detail).at("scans"));
+            return Err(ServiceError::over(ErrorKind::TooManyScans, setting::SCANS_PER_REQUEST, detail).at("scans"));
         }
         let entry = self.find(name)?;
         let opened = self.opened(&entry).await?;
+        // A request of several robots counts as the first one's.
+        let robot = scans.first().map_or("", |scan| scan.robot.as_str());
         let place = match when_full {
-            WhenFull::Wait => opened.queue.clone().reserve_owned().await.map_err(|_| map_not_found(name))?,
-            WhenFull::Refuse => opened.queue.clone().try_reserve_owned().map_err(|refused| match refused {
-                mpsc::error::TrySendError::Full(_) => {
-                    let detail = format!("map {:?} has as many insertions waiting as its queue holds", name.as_str());
-                    ServiceError::new(ErrorKind::Busy, detail)
-                }
-                mpsc::error::TrySendError::Closed(_) => map_not_found(name),
-            })?,
+            WhenFull::Wait => opened.places.wait(robot).await.ok_or_else(|| map_not_found(name))?,
+            WhenFull::Refuse => opened.places.take(robot)?,
         };
-        let reservation = self.pool.budget.reservation();
+        let reservation = self.pool.budget.reservation(robot);
         let bytes = input_bytes(&scans);
         while let Err(error) = reservation.grow(bytes) {
             if error.kind != ErrorKind::Busy || when_full == WhenFull::Refuse {
@@ -389,6 +421,7 @@ impl Registry {
             scans,
             reservation,
             place,
+            queue: opened.queue.clone(),
             inside,
             reply,
         });

@@ -22,6 +22,10 @@ pub struct ServiceSettings {
     pub max_leaves: usize,
     /// Most cells a grid answer.
     pub max_cells: usize,
+    /// Deepest quadtree of a new map.
+    pub max_depth: u8,
+    /// Longest name of a new map, sensor, robot or snapshot, bytes.
+    pub max_name_bytes: usize,
     /// Most maps.
     pub max_maps: usize,
     /// Most robots of one map that send numbered scans: each keeps a sequence window for good.
@@ -59,6 +63,8 @@ impl Default for ServiceSettings {
             max_regions: 10_000,
             max_leaves: 1_000_000,
             max_cells: 16_777_216,
+            max_depth: 24,
+            max_name_bytes: 63,
             max_maps: 10_000,
             max_robots: 10_000,
             max_snapshots: 10_000,

@@ -9,7 +9,7 @@ use super::failures::{map_not_found, snapshot_exists, store_failure};
 use super::gate::Inside;
 use super::registry::{blocking, now};
 use super::writer::{Published, Request, Writer};
-use super::{ErrorKind, MapService, ServiceError};
+use super::{ErrorKind, MapService, ServiceError, setting};
 use crate::quadtree::PageError;
 use crate::store::{Commit, Difference, MapId, MapName, SnapshotName, StoreError, StoredSnapshot};
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ impl Writer {
         let limit = self.max_snapshots;
         if there.len() >= limit {
             let detail = format!("map {:?} has {limit} snapshots, which is the limit", self.name.as_str());
-            return Err(ServiceError::new(ErrorKind::TooManySnapshots, detail));
+            return Err(ServiceError::over(ErrorKind::TooManySnapshots, setting::SNAPSHOTS, detail));
         }
         let taken = self.store.take_snapshot(self.id, snapshot, now()).map_err(failed)?;
         tracing::info!(map = %self.name, %snapshot, revision = taken.revision, "snapshot taken");
@@ -102,6 +102,7 @@ impl MapService {
     /// [`ErrorKind::MapNotFound`], [`ErrorKind::SnapshotExists`] (also for the same revision),
     /// [`ErrorKind::TooManySnapshots`], [`ErrorKind::ShuttingDown`], [`ErrorKind::StoreFailed`].
     pub async fn take_snapshot(&self, map: &MapName, snapshot: &SnapshotName) -> Result<StoredSnapshot, ServiceError> {
+        self.registry.may_be_named(snapshot.as_str(), "name")?;
         let taken = self.errand(map, snapshot, Request::Snapshot).await;
         if let Ok(entry) = self.registry.find(map) {
             entry.rescue.forget();
@@ -179,9 +180,10 @@ impl MapService {
         let inside = self.registry.gate.enter()?;
         let entry = self.registry.find(map)?;
         let opened = self.registry.opened(&entry).await?;
-        let place = opened.queue.clone().reserve_owned().await.map_err(|_| map_not_found(map))?;
+        // Errands are few, since each has a place among the operations under way.
         let (reply, answer) = oneshot::channel();
-        place.send(request(Errand { snapshot: snapshot.clone(), reply, inside }));
+        let errand = request(Errand { snapshot: snapshot.clone(), reply, inside });
+        opened.queue.send(errand).map_err(|_| map_not_found(map))?;
         answer.await.unwrap_or_else(|_| {
             Err(ServiceError::new(ErrorKind::Internal, "the server failed while it worked on this snapshot"))
         })

@@ -143,6 +143,7 @@ impl MapService {
             read.map_err(|error| QueryError::Refused(file_failure(&error)))
         };
         let (config, contents) = self.apart("import", map, read).await?;
+        self.registry.may_be_new(map, &config)?;
         self.registry.import(map, config, contents).await
     }
 }

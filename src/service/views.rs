@@ -6,7 +6,7 @@ use super::snapshot_cache::loaded_as_root;
 use super::transfer::named;
 use super::{
     BoxQuery, ClassesAnswer, ErrorKind, FreeAnswers, MapService, Raster, RegionAnswer, ServiceError, failures, inline,
-    limited,
+    limited, setting,
 };
 use crate::mapping::Region;
 use crate::store::{MapName, SnapshotName, StoreError};
@@ -84,7 +84,13 @@ impl MapView {
     /// [`ErrorKind::DepthOutOfRange`], [`ErrorKind::InvalidPoint`], [`ErrorKind::TooManyPoints`].
     pub async fn classes(self, points: &[(f64, f64)], depth: Option<u32>) -> Result<ClassesAnswer, ServiceError> {
         let Self { service, name, root } = self;
-        limited("points", points.len(), service.settings().max_points, ErrorKind::TooManyPoints)?;
+        limited(
+            "points",
+            points.len(),
+            service.settings().max_points,
+            ErrorKind::TooManyPoints,
+            setting::POINTS_PER_QUERY,
+        )?;
         let depth = root.depth(depth)?;
         if points.len() <= INLINE_POINTS
             && let Some(answer) = inline("classes", &name, || root.in_memory().classes(points, depth))
@@ -147,7 +153,13 @@ impl MapView {
     /// [`ErrorKind::ToleranceTooHigh`], [`ErrorKind::TooManyRegions`].
     pub async fn guaranteed_free(self, regions: &[Region], tolerance: u32) -> Result<FreeAnswers, ServiceError> {
         let Self { service, name, root } = self;
-        limited("regions", regions.len(), service.settings().max_regions, ErrorKind::TooManyRegions)?;
+        limited(
+            "regions",
+            regions.len(),
+            service.settings().max_regions,
+            ErrorKind::TooManyRegions,
+            setting::REGIONS_PER_QUERY,
+        )?;
         let tolerance = root.tolerance(tolerance)?;
         // How long a region takes depends on the map below it, so none of them is computed here.
         let regions = regions.to_vec();

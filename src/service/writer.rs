@@ -7,12 +7,14 @@ use super::budget::Reservation;
 use super::changes::ChangeLog;
 use super::evidence::too_old;
 use super::failures::{map_not_found, store_failure};
+use super::fair::Place;
 use super::gate::Inside;
+use super::limits::over;
 use super::metrics;
 use super::registry::now;
 use super::robots::{Robots, Sighting};
 use super::snapshots::Errand;
-use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
+use super::{ErrorKind, InsertAnswer, Rejection, ServiceError, setting};
 use crate::quadtree::{BlockAddress, BlockPager, Held, LeafMasks, PageError, PagedTree};
 use crate::store::{
     BlockStamp, BlockStamps, Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError,
@@ -80,6 +82,8 @@ pub(super) struct Job {
     pub(super) reservation: Reservation,
     pub(super) queued: metrics::Queued,
     pub(super) inside: Inside,
+    /// Given back when the job's round begins.
+    pub(super) place: Option<Place>,
 }
 
 impl Job {
@@ -105,6 +109,7 @@ pub(super) struct Writer {
     pub(super) robots: Arc<Robots>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
+    pub(super) max_name_bytes: usize,
     pub(super) max_snapshots: usize,
 }
 
@@ -128,7 +133,7 @@ impl Writer {
     /// as no further commit can follow.
     pub(super) async fn run(
         self,
-        mut queue: mpsc::Receiver<Request>,
+        mut queue: mpsc::UnboundedReceiver<Request>,
         stop: CancellationToken,
         stopped: CancellationToken,
     ) {
@@ -178,11 +183,12 @@ impl Writer {
     }
 
     /// Applies the scans of a round, makes them durable, publishes, and acknowledges.
-    fn round(&self, jobs: Vec<Job>) {
+    fn round(&self, mut jobs: Vec<Job>) {
+        jobs.iter_mut().for_each(|job| drop(job.place.take()));
         let started = Instant::now();
         let base = self.published.load_full();
         let mut round = Round::new(&base);
-        let answers: Vec<InsertAnswer> = jobs.iter().map(|job| round.take(job, self.max_robots)).collect();
+        let answers: Vec<InsertAnswer> = jobs.iter().map(|job| round.take(job, self)).collect();
         let (scans, applied) = (jobs.iter().map(|job| job.scans.len() as u64).sum::<u64>(), round.applied);
         match self.store(round) {
             Ok(revision) => {
@@ -249,7 +255,7 @@ impl Writer {
 }
 
 impl Request {
-    fn refuse(self, error: ServiceError) {
+    pub(super) fn refuse(self, error: ServiceError) {
         match self {
             Self::Scans(job) => job.reply(Err(error)),
             Self::Snapshot(errand) => errand.refuse(error),
@@ -260,7 +266,12 @@ impl Request {
 
 /// The first insertion and those that have arrived behind it, up to `max_scans`; the request that is too many, or none
 /// of scans, is held back.
-fn drain(first: Job, queue: &mut mpsc::Receiver<Request>, held: &mut Option<Request>, max_scans: usize) -> Vec<Job> {
+fn drain(
+    first: Job,
+    queue: &mut mpsc::UnboundedReceiver<Request>,
+    held: &mut Option<Request>,
+    max_scans: usize,
+) -> Vec<Job> {
     let mut scans = first.scans.len();
     let mut jobs = vec![first];
     while scans < max_scans {
@@ -296,14 +307,14 @@ impl<'a> Round<'a> {
     /// Applies one request's scans in order.
     ///
     /// What a scan looks into is read before it counts as applied: one that meets a damaged block is refused by itself.
-    fn take(&mut self, job: &'a Job, max_robots: usize) -> InsertAnswer {
+    fn take(&mut self, job: &'a Job, limits: &Writer) -> InsertAnswer {
         let mut answer = job.answer.clone();
         if job.restored != self.base.restored {
             self.look_again(&job.known, &mut answer);
         }
         for scan in &job.scans {
             let readable = self.tree.prepare(&scan.masks).map_err(|error| unreadable(error.into()));
-            match readable.and_then(|()| self.admit(scan.numbered.as_ref(), max_robots)) {
+            match readable.and_then(|()| self.admit(scan.numbered.as_ref(), limits)) {
                 Ok(SequenceVerdict::Duplicate) => answer.duplicates += 1,
                 Ok(_) => {
                     if let Err(error) = self.tree.try_apply(&scan.masks, &mut self.changed) {
@@ -338,15 +349,20 @@ impl<'a> Round<'a> {
     fn admit(
         &mut self,
         numbered: Option<&Numbered>,
-        max_robots: usize,
+        limits: &Writer,
     ) -> Result<SequenceVerdict, (&'static str, String)> {
         let Some(Numbered { robot, sequence }) = numbered else { return Ok(SequenceVerdict::New) };
         if !self.windows.contains_key(robot) {
             let known = self.base.windows.get(robot);
             if known.is_none() {
-                if self.base.windows.len() + self.new_robots >= max_robots {
+                let Writer { max_robots, max_name_bytes, .. } = limits;
+                if robot.as_str().len() > *max_name_bytes {
+                    let detail = format!("robot: the name has more than {max_name_bytes} bytes, the limit");
+                    return Err(("INVALID_ROBOT", over(setting::NAME_BYTES, detail)));
+                }
+                if self.base.windows.len() + self.new_robots >= *max_robots {
                     let detail = format!("robot: the map knows {max_robots} robots, which is the limit");
-                    return Err(("TOO_MANY_ROBOTS", detail));
+                    return Err(("TOO_MANY_ROBOTS", over(setting::ROBOTS_PER_MAP, detail)));
                 }
                 self.new_robots += 1;
             }

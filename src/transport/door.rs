@@ -1,7 +1,9 @@
 //! Who may come in: operations and streams under way, the time they may take, and the end of the server.
 
+use super::client::{Client, PerClient, Share};
 use super::files::out_of_time;
-use crate::service::{ErrorKind, ServiceError};
+use super::intake::Memory;
+use crate::service::{ErrorKind, ServiceError, setting};
 use metrics::{describe_gauge, gauge};
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,6 +18,7 @@ const TRANSFERS: &str = "ubbmap_transfers_open";
 pub fn describe_metrics() {
     describe_gauge!(REQUESTS, "Operations under way, on all transports");
     describe_gauge!(TRANSFERS, "Map files on their way to or from clients, on all transports");
+    super::intake::describe_metrics();
     describe_gauge!(STREAMS, "Streams of scans and watches that are open, on all transports");
 }
 
@@ -24,8 +27,20 @@ pub fn describe_metrics() {
 pub struct DoorSettings {
     /// Most operations worked on at once.
     pub requests: usize,
+    /// Of these, most insertions: reads find a place whatever is sent.
+    pub insertions: usize,
     /// Most streams open at once.
     pub streams: usize,
+    /// Of these, most of one client.
+    pub streams_per_client: usize,
+    /// Most connections of one client.
+    pub connections_per_client: usize,
+    /// Largest head of a request, bytes.
+    pub header_bytes: usize,
+    /// Most bytes of bodies that are being read or worked on.
+    pub incoming_bytes: usize,
+    /// Most bytes of large answers on their way out.
+    pub answer_bytes: usize,
     /// Most files on their way to or from clients at once: each is in memory as a whole.
     pub transfers: usize,
     /// Longest time for one operation.
@@ -42,8 +57,13 @@ pub struct Door(Arc<Inner>);
 struct Inner {
     settings: DoorSettings,
     requests: Arc<Semaphore>,
+    insertions: Arc<Semaphore>,
     streams: Arc<Semaphore>,
     transfers: Arc<Semaphore>,
+    streams_per_client: Arc<PerClient>,
+    connections: Arc<PerClient>,
+    incoming: Arc<Memory>,
+    answers: Arc<Memory>,
     draining: CancellationToken,
 }
 
@@ -52,6 +72,8 @@ struct Inner {
 pub struct Place {
     gauge: &'static str,
     _permit: OwnedSemaphorePermit,
+    /// One more that an insertion needs, and a client's share of the streams.
+    more: (Option<OwnedSemaphorePermit>, Option<Share>),
 }
 
 impl Drop for Place {
@@ -65,9 +87,22 @@ impl Door {
     #[must_use]
     pub fn new(settings: DoorSettings) -> Self {
         let semaphore = |places: usize| Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS)));
-        let (requests, streams) = (semaphore(settings.requests), semaphore(settings.streams));
-        let transfers = semaphore(settings.transfers);
-        Self(Arc::new(Inner { settings, requests, streams, transfers, draining: CancellationToken::new() }))
+        let (incoming, answers) =
+            (Memory::of_requests(settings.incoming_bytes), Memory::of_answers(settings.answer_bytes));
+        incoming.show();
+        answers.show();
+        Self(Arc::new(Inner {
+            requests: semaphore(settings.requests),
+            insertions: semaphore(settings.insertions),
+            streams: semaphore(settings.streams),
+            transfers: semaphore(settings.transfers),
+            streams_per_client: PerClient::new(settings.streams_per_client),
+            connections: PerClient::new(settings.connections_per_client),
+            incoming,
+            answers,
+            settings,
+            draining: CancellationToken::new(),
+        }))
     }
 
     /// A place for one operation.
@@ -75,18 +110,68 @@ impl Door {
     /// # Errors
     /// [`ErrorKind::Busy`]
     pub fn request(&self) -> Result<Place, ServiceError> {
-        place(&self.0.requests, REQUESTS, || format!("{} requests are under way", self.0.settings.requests))
+        let full = || format!("{} requests are under way", self.0.settings.requests);
+        place(&self.0.requests, REQUESTS, setting::REQUESTS, full)
     }
 
-    /// A place for one stream.
+    /// A place for one insertion, which may wait long: it is one of the operations, of which reads keep some.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Busy`]
+    pub fn insertion(&self) -> Result<Place, ServiceError> {
+        let full = || format!("{} insertions are under way", self.0.settings.insertions);
+        let second = permit(&self.0.insertions, setting::INSERTIONS, full)?;
+        let mut place = self.request()?;
+        place.more.0 = Some(second);
+        Ok(place)
+    }
+
+    /// A place for one stream, of a client where it is known.
     ///
     /// # Errors
     /// [`ErrorKind::Busy`], [`ErrorKind::ShuttingDown`]: no stream begins once the server ends.
-    pub fn stream(&self) -> Result<Place, ServiceError> {
+    pub fn stream(&self, client: Option<&Client>) -> Result<Place, ServiceError> {
         if self.is_draining() {
             return Err(ending());
         }
-        place(&self.0.streams, STREAMS, || format!("{} streams are open", self.0.settings.streams))
+        let share = client.map(|client| {
+            self.0.streams_per_client.take(client.address(), 0).ok_or_else(|| {
+                let detail = format!(
+                    "this client has {} streams open, the limit: end some, then try again",
+                    self.0.settings.streams_per_client
+                );
+                ServiceError::over(ErrorKind::Busy, setting::STREAMS_PER_CLIENT, detail)
+            })
+        });
+        let full = || format!("{} streams are open", self.0.settings.streams);
+        let share = share.transpose()?;
+        let mut place = place(&self.0.streams, STREAMS, setting::STREAMS, full)?;
+        place.more.1 = share;
+        Ok(place)
+    }
+
+    /// The connections of each client.
+    #[must_use]
+    pub fn connections(&self) -> &Arc<PerClient> {
+        &self.0.connections
+    }
+
+    /// Largest head of a request, bytes.
+    #[must_use]
+    pub fn header_bytes(&self) -> usize {
+        self.0.settings.header_bytes
+    }
+
+    /// The memory for what comes in.
+    #[must_use]
+    pub fn incoming(&self) -> &Arc<Memory> {
+        &self.0.incoming
+    }
+
+    /// The memory for what goes out.
+    #[must_use]
+    pub fn answers(&self) -> &Arc<Memory> {
+        &self.0.answers
     }
 
     /// A place for one file on its way.
@@ -98,7 +183,7 @@ impl Door {
             return Err(ending());
         }
         let full = || format!("{} files are being transferred", self.0.settings.transfers);
-        place(&self.0.transfers, TRANSFERS, full)
+        place(&self.0.transfers, TRANSFERS, setting::TRANSFERS, full)
     }
 
     /// How long the transfer of one file may take.
@@ -124,7 +209,7 @@ impl Door {
         tokio::time::timeout(self.0.settings.request_timeout, work).await.map_err(|_| {
             let seconds = self.0.settings.request_timeout.as_secs_f64();
             let detail = format!("the request was not done within {seconds} s; scans it held may still be applied");
-            ServiceError::new(ErrorKind::Timeout, detail)
+            ServiceError::over(ErrorKind::Timeout, setting::REQUEST_SECONDS, detail)
         })
     }
 
@@ -151,10 +236,22 @@ pub fn ending() -> ServiceError {
     ServiceError::new(ErrorKind::ShuttingDown, "the server is shutting down")
 }
 
-fn place(places: &Arc<Semaphore>, name: &'static str, full: impl Fn() -> String) -> Result<Place, ServiceError> {
-    let permit = Arc::clone(places)
-        .try_acquire_owned()
-        .map_err(|_| ServiceError::new(ErrorKind::Busy, format!("{}, the limit: try again later", full())))?;
+fn place(
+    places: &Arc<Semaphore>,
+    name: &'static str,
+    setting: &'static str,
+    full: impl Fn() -> String,
+) -> Result<Place, ServiceError> {
+    let permit = permit(places, setting, full)?;
     gauge!(name).increment(1.0);
-    Ok(Place { gauge: name, _permit: permit })
+    Ok(Place { gauge: name, _permit: permit, more: (None, None) })
+}
+
+fn permit(
+    places: &Arc<Semaphore>,
+    setting: &'static str,
+    full: impl Fn() -> String,
+) -> Result<OwnedSemaphorePermit, ServiceError> {
+    let busy = || ServiceError::over(ErrorKind::Busy, setting, format!("{}, the limit: try again later", full()));
+    Arc::clone(places).try_acquire_owned().map_err(|_| busy())
 }

@@ -2,7 +2,7 @@
 //! what it holds up is its own transfer, never a map.
 
 use super::door::{Door, Place};
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use bytes::Bytes;
 use futures_util::stream::{self, Stream};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -94,14 +94,13 @@ impl Incoming {
 /// What a file is told that is larger than is taken: whoever runs the server can take more.
 #[must_use]
 pub fn too_large(limit: usize) -> ServiceError {
-    let detail =
-        format!("the file is larger than {limit} bytes, the limit (the server's setting `limits.import_bytes`)");
-    ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body")
+    let detail = format!("the file is larger than {limit} bytes, the limit");
+    ServiceError::over(ErrorKind::BodyTooLarge, setting::IMPORT_BYTES, detail).at("body")
 }
 
 /// What a transfer is told that took too long.
 #[must_use]
 pub fn out_of_time(limit: Duration) -> ServiceError {
     let detail = format!("the file was not transferred within {} s", limit.as_secs_f64());
-    ServiceError::new(ErrorKind::Timeout, detail)
+    ServiceError::over(ErrorKind::Timeout, setting::TRANSFER_SECONDS, detail)
 }

@@ -2,10 +2,13 @@
 //! operations from message to message, the streams, the door that all pass, who may do what, and the table of errors.
 
 pub mod access;
+pub mod client;
 pub mod door;
 pub mod files;
 pub mod grpc;
+pub mod guard;
 pub mod http;
+pub mod intake;
 pub mod operations;
 pub mod parameters;
 mod scan_stream;

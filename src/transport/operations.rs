@@ -1,7 +1,7 @@
 //! Every operation from its request message to its response message: what all transports have in common.
 
 use super::access::{OnBehalf, Operation};
-use crate::service::{ErrorKind, ExportedFile, MapView, ServiceError};
+use crate::service::{ErrorKind, ExportedFile, MapView, ServiceError, setting};
 use crate::store::MapName;
 use crate::wire::{self, Batch, v1};
 
@@ -55,7 +55,13 @@ pub async fn insert_scans(
     request: v1::InsertScansRequest,
 ) -> Result<v1::InsertScansResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    limited(request.scans.len(), service.settings().max_scans_per_request, "scans", ErrorKind::TooManyScans)?;
+    limited(
+        request.scans.len(),
+        service.settings().max_scans_per_request,
+        "scans",
+        ErrorKind::TooManyScans,
+        setting::SCANS_PER_REQUEST,
+    )?;
     let mut batch = Batch::new(request.scans);
     let answer = service.insert(&name, batch.take_scans()).await?;
     Ok(batch.response(answer))
@@ -70,7 +76,13 @@ pub async fn get_classes(
     request: v1::GetClassesRequest,
 ) -> Result<v1::GetClassesResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    limited(request.points.len(), service.settings().max_points, "points", ErrorKind::TooManyPoints)?;
+    limited(
+        request.points.len(),
+        service.settings().max_points,
+        "points",
+        ErrorKind::TooManyPoints,
+        setting::POINTS_PER_QUERY,
+    )?;
     let points = wire::points(&request.points)?;
     let view = view(service, Operation::GetClasses, &name, &request.snapshot).await?;
     Ok(wire::classes_response(view.classes(&points, request.depth).await?))
@@ -120,7 +132,13 @@ pub async fn check_guaranteed_free(
 ) -> Result<v1::CheckGuaranteedFreeResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     let settings = service.settings();
-    limited(request.regions.len(), settings.max_regions, "regions", ErrorKind::TooManyRegions)?;
+    limited(
+        request.regions.len(),
+        settings.max_regions,
+        "regions",
+        ErrorKind::TooManyRegions,
+        setting::REGIONS_PER_QUERY,
+    )?;
     let regions = wire::regions(request.regions, &settings.region)?;
     let view = view(service, Operation::CheckGuaranteedFree, &name, &request.snapshot).await?;
     Ok(wire::free_response(&view.guaranteed_free(&regions, request.tolerance).await?))
@@ -233,9 +251,9 @@ where
     Ok(wire::import_response(&map, service.import(&map, file).await?))
 }
 
-fn limited(count: usize, most: usize, field: &str, kind: ErrorKind) -> Result<(), ServiceError> {
+fn limited(count: usize, most: usize, field: &str, kind: ErrorKind, setting: &'static str) -> Result<(), ServiceError> {
     if count <= most {
         return Ok(());
     }
-    Err(ServiceError::new(kind, format!("the request has {count} {field}, the limit is {most}")).at(field))
+    Err(ServiceError::over(kind, setting, format!("the request has {count} {field}, the limit is {most}")).at(field))
 }

@@ -70,6 +70,7 @@ pub fn status(kind: ErrorKind) -> Status {
         ErrorKind::TooManySnapshots => refused(409, "Too many snapshots", Grpc::ResourceExhausted),
         ErrorKind::InvalidFile => refused(400, "The map file is not valid", Grpc::InvalidArgument),
         ErrorKind::BodyTooLarge => refused(413, "The body is too large", Grpc::ResourceExhausted),
+        ErrorKind::HeadersTooLarge => refused(431, "The request's head is too large", Grpc::ResourceExhausted),
         ErrorKind::ToleranceTooHigh => refused(400, "The tolerance can never be met", Grpc::OutOfRange),
         ErrorKind::UnsupportedMediaType => refused(415, "The form of the body is not known", Grpc::InvalidArgument),
         ErrorKind::NotAcceptable => refused(406, "The answer has no such form", Grpc::InvalidArgument),

@@ -1,6 +1,7 @@
 //! A watch of a map as messages, for every transport that can push.
 
 use super::access::OnBehalf;
+use super::client::Client;
 use super::door::{Door, Place, ending};
 use crate::service::{ServiceError, Watch};
 use crate::wire::{self, v1};
@@ -19,9 +20,10 @@ pub type Change = Result<v1::WatchMapResponse, ServiceError>;
 pub async fn begin(
     service: &OnBehalf,
     door: &Door,
+    client: Option<&Client>,
     request: &v1::WatchMapRequest,
 ) -> Result<mpsc::Receiver<Change>, ServiceError> {
-    let place = door.stream()?;
+    let place = door.stream(client)?;
     let map = wire::map_name(&request.map)?;
     let watch = service.watch(&map, request.since, wire::watch_query(request)).await?;
     let (out, receiver) = mpsc::channel(WAITING);

@@ -1,7 +1,7 @@
 //! Requests from their bytes, each list held to its limit before memory is spent on it.
 
 use super::{json, v1};
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use prost::Message;
 use serde::de::DeserializeOwned;
 
@@ -28,6 +28,7 @@ struct Limit {
     number: u32,
     most: usize,
     kind: ErrorKind,
+    setting: &'static str,
 }
 
 /// The request of `InsertScans`; in JSON also one bare scan.
@@ -39,7 +40,8 @@ pub fn insert_request(bytes: &[u8], encoding: Encoding, most: usize) -> Result<v
         let scan = json::from_slice(bytes, "")?;
         return Ok(v1::InsertScansRequest { map: String::new(), scans: vec![scan] });
     }
-    let limit = Limit { field: "scans", number: 2, most, kind: ErrorKind::TooManyScans };
+    let limit =
+        Limit { field: "scans", number: 2, most, kind: ErrorKind::TooManyScans, setting: setting::SCANS_PER_REQUEST };
     limited(bytes, encoding, limit, |request: &v1::InsertScansRequest| request.scans.len())
 }
 
@@ -54,7 +56,8 @@ pub fn scan_lines(bytes: &[u8], most: usize) -> Result<Vec<v1::Scan>, ServiceErr
             continue;
         }
         if scans.len() == most {
-            return Err(too_many(ErrorKind::TooManyScans, "scans", format!("more than {most}"), most));
+            let (kind, setting) = (ErrorKind::TooManyScans, setting::SCANS_PER_REQUEST);
+            return Err(too_many(kind, setting, "scans", format!("more than {most}"), most));
         }
         scans.push(scan_line(line, number, scans.len())?);
     }
@@ -119,7 +122,8 @@ pub fn create_request(bytes: &[u8], encoding: Encoding) -> Result<v1::CreateMapR
 /// # Errors
 /// [`ErrorKind::InvalidRequest`] at the field, [`ErrorKind::TooManyPoints`].
 pub fn classes_request(bytes: &[u8], encoding: Encoding, most: usize) -> Result<v1::GetClassesRequest, ServiceError> {
-    let limit = Limit { field: "points", number: 2, most, kind: ErrorKind::TooManyPoints };
+    let limit =
+        Limit { field: "points", number: 2, most, kind: ErrorKind::TooManyPoints, setting: setting::POINTS_PER_QUERY };
     limited(bytes, encoding, limit, |request: &v1::GetClassesRequest| request.points.len())
 }
 
@@ -132,7 +136,13 @@ pub fn free_request(
     encoding: Encoding,
     most: usize,
 ) -> Result<v1::CheckGuaranteedFreeRequest, ServiceError> {
-    let limit = Limit { field: "regions", number: 2, most, kind: ErrorKind::TooManyRegions };
+    let limit = Limit {
+        field: "regions",
+        number: 2,
+        most,
+        kind: ErrorKind::TooManyRegions,
+        setting: setting::REGIONS_PER_QUERY,
+    };
     limited(bytes, encoding, limit, |request: &v1::CheckGuaranteedFreeRequest| request.regions.len())
 }
 
@@ -163,12 +173,18 @@ impl Limit {
         if count <= self.most {
             return Ok(());
         }
-        Err(too_many(self.kind, self.field, count.to_string(), self.most))
+        Err(too_many(self.kind, self.setting, self.field, count.to_string(), self.most))
     }
 }
 
-fn too_many(kind: ErrorKind, field: &str, count: impl std::fmt::Display, most: usize) -> ServiceError {
-    ServiceError::new(kind, format!("the request has {count} {field}, the limit is {most}")).at(field)
+fn too_many(
+    kind: ErrorKind,
+    setting: &'static str,
+    field: &str,
+    count: impl std::fmt::Display,
+    most: usize,
+) -> ServiceError {
+    ServiceError::over(kind, setting, format!("the request has {count} {field}, the limit is {most}")).at(field)
 }
 
 fn protobuf<T: Message + Default>(bytes: &[u8]) -> Result<T, ServiceError> {

@@ -2,7 +2,7 @@
 
 use super::v1;
 use crate::mapping::{FreeAnswer, Reason, Region, RegionError, RegionLimits, Witness};
-use crate::service::{ErrorKind, FreeAnswers, ServiceError};
+use crate::service::{ErrorKind, FreeAnswers, ServiceError, setting};
 
 /// The checked regions of a request.
 ///
@@ -70,8 +70,14 @@ fn region_error(error: &RegionError, index: usize) -> ServiceError {
         | RegionError::Negative { field, .. }
         | RegionError::Points { field, .. } => field,
     };
-    ServiceError::new(ErrorKind::InvalidRegion, format!("regions[{index}].{error}"))
-        .at(format!("regions[{index}].{field}"))
+    let detail = format!("regions[{index}].{error}");
+    let refused = match error {
+        RegionError::Points { max, count, .. } if count > max => {
+            ServiceError::over(ErrorKind::InvalidRegion, setting::POINTS_PER_REGION, detail)
+        }
+        _ => ServiceError::new(ErrorKind::InvalidRegion, detail),
+    };
+    refused.at(format!("regions[{index}].{field}"))
 }
 
 fn result(answer: &FreeAnswer) -> v1::FreeResult {

@@ -21,7 +21,9 @@ pub use answers::{
     tile_response,
 };
 pub use changes::{changes_query, changes_response, watch_query, watch_response};
-pub use config::{map_config, to_wire_config};
+pub use config::{
+    DEFAULT_CLASSES, DEFAULT_DEPTH, DEFAULT_MIN_OBSTACLE_WIDTH, DEFAULT_RESOLUTION, map_config, to_wire_config,
+};
 pub use decode::{
     Encoding, classes_request, create_request, free_request, insert_request, message, request, scan_line, scan_lines,
 };
@@ -33,6 +35,9 @@ pub use scans::Batch;
 pub use snapshots::{
     create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name, snapshot_wanted,
 };
+
+/// The interface as it describes itself: an encoded `google.protobuf.FileDescriptorSet` with the comments of `proto/`.
+pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.bin"));
 
 /// The messages of the package `ubbmap.v1` with their proto3 JSON.
 #[expect(missing_docs, clippy::all, reason = "generated")]

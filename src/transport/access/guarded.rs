@@ -184,6 +184,15 @@ impl OnBehalf {
         self.service.insert(name, scans).await
     }
 
+    /// As [`MapService::room`].
+    ///
+    /// # Errors
+    /// Those, and of [`OnBehalf::may`].
+    pub fn room(&self, name: &MapName) -> Result<(), ServiceError> {
+        self.may(Operation::InsertScans, name)?;
+        self.service.room(name)
+    }
+
     /// As [`MapService::insert_when_free`].
     ///
     /// # Errors

@@ -10,6 +10,7 @@ mod status;
 
 use super::access::Guarded;
 use super::door::Door;
+use crate::wire;
 use axum::Router;
 use generated::map_service_server::MapServiceServer;
 use service::MapRpc;
@@ -24,9 +25,6 @@ pub use status::DOMAIN;
 pub mod generated {
     include!(concat!(env!("OUT_DIR"), "/grpc/ubbmap.v1.rs"));
 }
-
-/// The interface as reflection tells it.
-const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/ubbmap.v1.bin"));
 
 /// Limits that are gRPC's own; those of operations are the service's.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,11 +44,12 @@ pub struct GrpcSettings {
 pub fn router(service: Guarded, settings: GrpcSettings, door: Door) -> Result<Router, tonic_reflection::server::Error> {
     let reflection = || {
         tonic_reflection::server::Builder::configure()
-            .register_encoded_file_descriptor_set(DESCRIPTORS)
+            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let limit = settings.message_bytes;
     let health = health::watched(service.clone(), door.clone());
+    let around = (limit, door.clone());
     let maps = MapServiceServer::new(MapRpc::new(settings, door)).max_decoding_message_size(limit);
     let router = tonic::service::Routes::new(maps)
         .add_service(health)
@@ -61,6 +60,6 @@ pub fn router(service: Guarded, settings: GrpcSettings, door: Door) -> Result<Ro
     Ok(router
         .layer(CatchPanicLayer::custom(observe::panicked))
         .layer(axum::middleware::from_fn_with_state(service, access::admit))
-        .layer(axum::middleware::from_fn_with_state(limit, observe::observe))
+        .layer(axum::middleware::from_fn_with_state(around, observe::observe))
         .layer(GrpcWebLayer::new()))
 }

@@ -3,6 +3,11 @@
 use super::status::{to_status, too_large};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::access::Operation;
+use crate::transport::client::Client;
+use crate::transport::door::Door;
+use crate::transport::guard;
+use crate::transport::intake::Shape;
+use axum::Error;
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::Response as HttpResponse;
@@ -19,19 +24,25 @@ const TOTAL: &str = "ubbmap_grpc_calls_total";
 /// What begins with this is the interface's own.
 pub const SERVICE: &str = "/ubbmap.v1.MapService/";
 
+/// Those whose requests are streams; so are those of reflection.
+const STREAMED: [&str; 3] = ["StreamScans", "ImportMap", "other"];
+
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
     describe_histogram!(SECONDS, "Seconds from a call's head to the head of its answer, by method");
     describe_counter!(TOTAL, "Calls by method and code; a stream counts when its answer begins");
 }
 
-/// Times and counts a call. `limit` is that of messages, bytes.
-pub async fn observe(State(limit): State<usize>, request: Request, next: Next) -> Response {
+/// Lets a call in, times and counts it. `limit` is that of messages, bytes.
+pub async fn observe(State((limit, door)): State<(usize, Door)>, request: Request, next: Next) -> Response {
     let asked = request.uri().path().strip_prefix(SERVICE).unwrap_or_default();
     // Any other word is the client's, and would be a label of its own.
     let method = Operation::of_method(asked).map_or("other", Operation::method);
     let begun = Instant::now();
-    let mut response = next.run(request).await;
+    let client = request.extensions().get::<Client>().cloned();
+    let answered = guarded(&door, request, next, method).await;
+    let mut response = answered.unwrap_or_else(|error| to_status(&error).into_http());
+    guard::close_refused(client.as_ref(), &mut response);
     let mut code = Status::from_header_map(response.headers()).map_or(Code::Ok, |status| status.code());
     // The library refuses a message above the limit before anything of ours sees it; ours come with details.
     let foreign = response.headers().get(Status::GRPC_STATUS_DETAILS).is_none();
@@ -51,6 +62,13 @@ pub async fn observe(State(limit): State<usize>, request: Request, next: Next) -
     histogram!(SECONDS, "method" => method).record(begun.elapsed().as_secs_f64());
     counter!(TOTAL, "method" => method, "code" => format!("{code:?}")).increment(1);
     response
+}
+
+/// Lets a call in with what it may take of the server's memory, and keeps the answer's until it has gone out.
+async fn guarded(door: &Door, request: Request, next: Next, method: &str) -> Result<Response, ServiceError> {
+    let shape = if STREAMED.contains(&method) { Shape::Messages } else { Shape::Whole };
+    let (request, admitted) = guard::admit(door, request, Some(shape), |error| Error::new(to_status(&error)))?;
+    admitted.answer(door, next.run(request).await)
 }
 
 /// The answer to a call whose handler panicked. The panic's words are for the log.

@@ -5,10 +5,12 @@ use super::generated::map_service_server;
 use super::status::{from_status, to_status};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::access::{OnBehalf, Operation};
-use crate::transport::door::Door;
+use crate::transport::client::Client;
+use crate::transport::door::{Door, Place};
 use crate::transport::{files, operations, scan_stream, watching};
 use crate::wire::{self, v1};
 use futures_util::StreamExt;
+use prost::Message;
 use std::pin::Pin;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
@@ -33,12 +35,28 @@ impl MapRpc {
     }
 
     /// One operation, among those under way and for as long as one may take.
-    async fn unary<T>(&self, work: impl Future<Output = Result<T, ServiceError>>) -> Answer<T> {
+    async fn unary<T: Message>(&self, work: impl Future<Output = Result<T, ServiceError>>) -> Answer<T> {
+        self.placed(self.door.request(), work).await
+    }
+
+    /// The same for one that has its place.
+    async fn placed<T: Message>(
+        &self,
+        place: Result<Place, ServiceError>,
+        work: impl Future<Output = Result<T, ServiceError>>,
+    ) -> Answer<T> {
         let answer = async {
-            let _place = self.door.request()?;
-            self.door.timed(work).await?
+            let _place = place?;
+            let answer = self.door.timed(work).await??;
+            let held = self.door.answers().answer(answer.encoded_len())?;
+            let mut response = Response::new(answer);
+            if let Some(held) = held {
+                // Kept until the answer has gone out.
+                response.extensions_mut().insert(held);
+            }
+            Ok(response)
         };
-        answer.await.map(Response::new).map_err(|error| to_status(&error))
+        answer.await.map_err(|error: ServiceError| to_status(&error))
     }
 
     /// A file as its pieces come; nothing is made of one that breaks off.
@@ -118,15 +136,16 @@ impl map_service_server::MapService for MapRpc {
 
     async fn insert_scans(&self, request: Request<v1::InsertScansRequest>) -> Answer<v1::InsertScansResponse> {
         let (caller, request) = asked(request)?;
-        self.unary(operations::insert_scans(&caller, request)).await
+        self.placed(self.door.insertion(), operations::insert_scans(&caller, request)).await
     }
 
     async fn stream_scans(
         &self,
         request: Request<Streaming<v1::StreamScansRequest>>,
     ) -> Answer<Self::StreamScansStream> {
+        let client = request.extensions().get::<Client>().cloned();
         let (caller, messages_in) = asked(request)?;
-        let place = self.door.stream().map_err(|error| to_status(&error))?;
+        let place = self.door.stream(client.as_ref()).map_err(|error| to_status(&error))?;
         let (door, settings) = (self.door.clone(), self.settings.clone());
         let limit = settings.message_bytes;
         let incoming = messages_in.map(move |message| message.map_err(|status| from_status(&status, limit)));
@@ -172,8 +191,9 @@ impl map_service_server::MapService for MapRpc {
     }
 
     async fn watch_map(&self, request: Request<v1::WatchMapRequest>) -> Answer<Self::WatchMapStream> {
+        let client = request.extensions().get::<Client>().cloned();
         let (caller, request) = asked(request)?;
-        let watch = self.door.timed(watching::begin(&caller, &self.door, &request)).await;
+        let watch = self.door.timed(watching::begin(&caller, &self.door, client.as_ref(), &request)).await;
         watch.and_then(|begun| begun).map(messages).map(Response::new).map_err(|error| to_status(&error))
     }
 
@@ -207,11 +227,12 @@ impl map_service_server::MapService for MapRpc {
 
     async fn export_map(&self, request: Request<v1::ExportMapRequest>) -> Answer<Self::ExportMapStream> {
         let (caller, request) = asked(request)?;
-        let exported = self.unary(async {
+        let exported = async {
+            let _place = self.door.request()?;
             let place = self.door.transfer()?;
-            Ok((operations::export_map(&caller, &request).await?, place))
-        });
-        let (file, place) = exported.await?.into_inner();
+            Ok((self.door.timed(operations::export_map(&caller, &request)).await??, place))
+        };
+        let (file, place) = exported.await.map_err(|error: ServiceError| to_status(&error))?;
         let revision = file.revision;
         let pieces = files::outgoing(file.bytes.into(), place, &self.door).map(move |piece| {
             let message = |data: bytes::Bytes| v1::ExportMapResponse { data: data.to_vec(), revision };

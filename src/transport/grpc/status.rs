@@ -1,6 +1,6 @@
 //! Every error as a status of gRPC, with the details of `google.rpc` (AIP-193): the code word, the field, when to retry.
 
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use crate::transport::status::status;
 use std::time::Duration;
 use tonic::{Code, Status};
@@ -28,7 +28,7 @@ pub fn to_status(error: &ServiceError) -> Status {
 #[must_use]
 pub fn too_large(limit: usize) -> ServiceError {
     let detail = format!("the message is larger than {limit} bytes, the limit: send less at a time");
-    ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body")
+    ServiceError::over(ErrorKind::BodyTooLarge, setting::BODY_BYTES, detail).at("body")
 }
 
 /// An error that came with a stream's message: one of the codec, the limit of messages, or a client that has gone.
@@ -36,6 +36,8 @@ pub fn too_large(limit: usize) -> ServiceError {
 pub fn from_status(status: &Status, limit: usize) -> ServiceError {
     match status.code() {
         Code::OutOfRange => too_large(limit),
+        // The server's memory for what comes in; counted where it was refused.
+        Code::ResourceExhausted => ServiceError::new(ErrorKind::Busy, status.message()),
         Code::InvalidArgument => ServiceError::new(ErrorKind::InvalidRequest, status.message()),
         _ => ServiceError::new(ErrorKind::InvalidRequest, "the stream broke off"),
     }

@@ -1,13 +1,17 @@
 //! Bodies of requests: read whole under a limit, decompressed under the same limit, and their form.
 
 use super::HttpError;
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
+use crate::transport::files;
+use crate::transport::intake::{Held, refusal};
 use crate::wire::Encoding;
 use axum::body::{Body, Bytes};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, header};
 use flate2::read::MultiGzDecoder;
 use http_body_util::BodyExt;
 use std::io::Read;
+use std::sync::Arc;
 
 /// Of a body that is too large, this many times the limit is read and thrown away before the answer: a client that
 /// only reads once it has written all would else never see why it was refused.
@@ -15,6 +19,18 @@ const DISCARDED_LIMITS: usize = 4;
 
 /// Bodies above this many bytes are decoded on a thread of their own, so that they do not hold up other requests.
 const DECODE_APART_ABOVE: usize = 64 * 1024;
+
+/// Bytes that are unzipped at a time.
+const UNZIPPED_PIECE: u64 = 256 * 1024;
+
+/// How large a body may be, and the setting that says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limit {
+    /// Most bytes.
+    pub bytes: usize,
+    /// The setting.
+    pub setting: &'static str,
+}
 
 /// How the scans of a body are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,12 +46,15 @@ pub enum ScanEncoding {
 /// # Errors
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::UnsupportedMediaType`] for an encoding other than gzip,
 /// [`ErrorKind::InvalidRequest`] for a body that breaks off or is not gzip.
-pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Result<Bytes, HttpError> {
+pub async fn read(parts: &Parts, body: Body, limit: Limit) -> Result<Bytes, HttpError> {
     let bytes = collect(body, limit).await?;
-    let encoding = header_text(headers, &header::CONTENT_ENCODING)?;
+    let encoding = header_text(&parts.headers, &header::CONTENT_ENCODING)?;
     match encoding.as_deref() {
         None | Some("" | "identity") => Ok(bytes),
-        Some("gzip" | "x-gzip") => apart(bytes.len(), move || unzip(&bytes, limit)).await,
+        Some("gzip" | "x-gzip") => {
+            let held = parts.extensions.get::<Arc<Held>>().cloned();
+            apart(bytes.len(), move || unzip(&bytes, limit, held.as_deref())).await
+        }
         Some(other) => {
             let detail = format!("content-encoding {other:?} is not known: send gzip or none");
             Err(HttpError(ServiceError::new(ErrorKind::UnsupportedMediaType, detail).at("content-encoding")))
@@ -111,54 +130,72 @@ pub async fn apart<T: Send + 'static>(
 ///
 /// # Errors
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::InvalidRequest`] for one that breaks off.
-pub async fn collect(mut body: Body, limit: usize) -> Result<Bytes, HttpError> {
+pub async fn collect(mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
     let mut kept: Vec<u8> = Vec::new();
     let mut only = Bytes::new();
     let mut total = 0;
+    let Limit { bytes: most, .. } = limit;
     while let Some(frame) = body.frame().await {
-        let frame = frame
-            .map_err(|_| HttpError(ServiceError::new(ErrorKind::InvalidRequest, "the body broke off").at("body")))?;
+        let frame = frame.map_err(|error| HttpError(broken(error)))?;
         let Ok(data) = frame.into_data() else { continue };
         if total == 0 {
             // A body of one piece is taken without a copy.
             only = data.clone();
-        } else if total <= limit {
+        } else if total <= most {
             if kept.is_empty() {
                 kept.extend_from_slice(&only);
             }
             kept.extend_from_slice(&data);
         }
         total += data.len();
-        if total > limit {
+        if total > most {
             kept = Vec::new();
             only = Bytes::new();
         }
-        if total > limit.saturating_mul(DISCARDED_LIMITS) {
+        if total > most.saturating_mul(DISCARDED_LIMITS) {
             break;
         }
     }
-    if total > limit {
+    if total > most {
         return Err(too_large(limit, ""));
     }
     Ok(if kept.is_empty() { only } else { Bytes::from(kept) })
 }
 
-fn unzip(bytes: &[u8], limit: usize) -> Result<Bytes, HttpError> {
+/// Undoes gzip piece by piece: what a small body unfolds to is counted before there is memory for it.
+fn unzip(bytes: &[u8], limit: Limit, held: Option<&Held>) -> Result<Bytes, HttpError> {
     let mut plain = Vec::new();
-    let most = u64::try_from(limit).unwrap_or(u64::MAX).saturating_add(1);
-    MultiGzDecoder::new(bytes).take(most).read_to_end(&mut plain).map_err(|error| {
-        let detail = format!("the body is not valid gzip: {error}");
-        HttpError(ServiceError::new(ErrorKind::InvalidRequest, detail).at("body"))
-    })?;
-    if plain.len() > limit {
-        return Err(too_large(limit, " after decompression"));
+    let mut reader = MultiGzDecoder::new(bytes).take(UNZIPPED_PIECE);
+    loop {
+        let before = plain.len();
+        reader.read_to_end(&mut plain).map_err(|error| {
+            let detail = format!("the body is not valid gzip: {error}");
+            HttpError(ServiceError::new(ErrorKind::InvalidRequest, detail).at("body"))
+        })?;
+        let more = plain.len() - before;
+        if plain.len() > limit.bytes {
+            return Err(too_large(limit, " after decompression"));
+        }
+        held.map_or(Ok(()), |held| held.grow(more))?;
+        if more == 0 {
+            return Ok(Bytes::from(plain));
+        }
+        reader.set_limit(UNZIPPED_PIECE);
     }
-    Ok(Bytes::from(plain))
 }
 
-fn too_large(limit: usize, when: &str) -> HttpError {
-    let detail = format!("the body is larger than {limit} bytes{when}, the limit: send less at a time");
-    HttpError(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"))
+fn too_large(limit: Limit, when: &str) -> HttpError {
+    if limit.setting == setting::IMPORT_BYTES {
+        return HttpError(files::too_large(limit.bytes));
+    }
+    let detail = format!("the body is larger than {} bytes{when}, the limit: send less at a time", limit.bytes);
+    HttpError(ServiceError::over(ErrorKind::BodyTooLarge, limit.setting, detail).at("body"))
+}
+
+/// Why a body ended early: it was refused, or its client has gone.
+pub fn broken(error: axum::Error) -> ServiceError {
+    let broke_off = || ServiceError::new(ErrorKind::InvalidRequest, "the body broke off").at("body");
+    refusal(error).unwrap_or_else(broke_off)
 }
 
 fn unsupported(headers: &HeaderMap, known: &str) -> HttpError {

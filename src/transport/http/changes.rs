@@ -1,10 +1,12 @@
 //! What changed: at once (`/changes`), and as it is committed (`/events`).
 
+use super::openapi::table::{GET_CHANGES, WATCH_MAP};
 use super::params::params;
 use super::path::MapPath;
 use super::problem::Problem;
 use super::{App, HttpError, accept, lines, respond};
 use crate::transport::access::{OnBehalf, Operation};
+use crate::transport::client::Client;
 use crate::transport::operations;
 use crate::transport::watching::{self, Change};
 use crate::wire::v1;
@@ -24,11 +26,6 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Where a client that lost the connection stopped reading (HTML, server-sent events).
 const LAST_EVENT_ID: &str = "last-event-id";
 
-const KNOWN: [&str; 7] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents"];
-
-/// Those of a stream of changes.
-const WATCHED: [&str; 8] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents", "robots"];
-
 const REVISION: &str = "a revision, a whole number";
 
 /// How a stream of changes is written.
@@ -43,7 +40,7 @@ const FORMS: [(&str, Form); 2] = [("text/event-stream", Form::Events), (lines::N
 /// `GET /v1/maps/{map}/changes?since=`
 pub async fn since(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &KNOWN)?;
+    let params = params(request.uri(), &GET_CHANGES)?;
     let form = accept::message(request.headers())?;
     let since = params.number("since", REVISION)?;
     let since = since.ok_or_else(|| HttpError::invalid("since", "since is missing: changes after which revision?"))?;
@@ -72,7 +69,7 @@ pub async fn events(
 ) -> Result<Response, HttpError> {
     let MapPath(map) = path;
     caller.may(Operation::WatchMap, &map)?;
-    let params = params(request.uri(), &WATCHED)?;
+    let params = params(request.uri(), &WATCH_MAP)?;
     let form = accept::choose(request.headers(), &FORMS)?;
     let since = match last_event(request.headers())? {
         // It is where the client stopped; the query string is where it once began.
@@ -80,6 +77,7 @@ pub async fn events(
         None => params.number("since", REVISION)?,
     };
     let area = params.box_query()?;
+    let client = request.extensions().get::<Client>().cloned();
     let request = v1::WatchMapRequest {
         map: map.to_string(),
         since,
@@ -91,7 +89,7 @@ pub async fn events(
         contents: params.flag("contents")?,
         robots: params.flag("robots")?,
     };
-    let changes = watching::begin(&caller, &app.door, &request).await?;
+    let changes = watching::begin(&caller, &app.door, client.as_ref(), &request).await?;
     Ok(match form {
         Form::Events => event_stream(changes),
         Form::Lines => lines::response(changes),

@@ -14,38 +14,9 @@ use http_body_util::BodyExt;
 use tower::ServiceExt;
 use tower_http::catch_panic::CatchPanicLayer;
 
-const KINDS: [ErrorKind; 26] = [
-    ErrorKind::MapNotFound,
-    ErrorKind::MapExists,
-    ErrorKind::InvalidName,
-    ErrorKind::InvalidConfig,
-    ErrorKind::InvalidRequest,
-    ErrorKind::InvalidRegion,
-    ErrorKind::InvalidPoint,
-    ErrorKind::DepthOutOfRange,
-    ErrorKind::TileOutOfRange,
-    ErrorKind::RegionTooLarge,
-    ErrorKind::TooManyPoints,
-    ErrorKind::TooManyRegions,
-    ErrorKind::TooManyScans,
-    ErrorKind::TooManyMaps,
-    ErrorKind::BodyTooLarge,
-    ErrorKind::ToleranceTooHigh,
-    ErrorKind::UnsupportedMediaType,
-    ErrorKind::NotAcceptable,
-    ErrorKind::MethodNotAllowed,
-    ErrorKind::RouteNotFound,
-    ErrorKind::Busy,
-    ErrorKind::ShuttingDown,
-    ErrorKind::Timeout,
-    ErrorKind::MapDamaged,
-    ErrorKind::StoreFailed,
-    ErrorKind::Internal,
-];
-
 #[tokio::test]
 async fn every_kind_of_error_is_a_problem() {
-    for kind in KINDS {
+    for kind in ErrorKind::ALL.iter().copied() {
         let row = status(kind);
         let response = HttpError(ServiceError::new(kind, "what is wrong").at("field")).into_response();
         assert_eq!(response.status().as_u16(), row.http);

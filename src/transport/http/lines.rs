@@ -1,7 +1,8 @@
 //! Streams of JSON lines (NDJSON): scans that come in one by one, and messages that go out one by one.
 
+use super::body;
 use super::problem::Problem;
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use crate::store::MapName;
 use crate::wire::{self, v1};
 use axum::body::{Body, Bytes};
@@ -111,13 +112,11 @@ impl Reader {
             self.searched = self.buffer.len();
             if self.buffer.len() > self.limit {
                 let detail = format!("line {} is longer than {} bytes, the limit", self.line + 1, self.limit);
-                return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
+                return Err(ServiceError::over(ErrorKind::BodyTooLarge, setting::BODY_BYTES, detail).at("body"));
             }
             match self.body.frame().await {
                 Some(Ok(frame)) => self.buffer.extend_from_slice(&frame.into_data().unwrap_or_default()),
-                Some(Err(_)) => {
-                    return Err(ServiceError::new(ErrorKind::InvalidRequest, "the body broke off").at("body"));
-                }
+                Some(Err(error)) => return Err(body::broken(error)),
                 None => {
                     self.ended = true;
                     self.searched = 0;

@@ -18,7 +18,7 @@ pub async fn create(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.config_limit()).await?;
     let MapPath(map) = path?;
     caller.may(Operation::CreateMap, &map)?;
     no_params(&parts.uri)?;

@@ -1,8 +1,14 @@
 //! Around every request: its place among the requests under way, its time, its metrics, and panics.
 
+use super::lines;
+use super::openapi::table::{IMPORT_MAP, INSERT_SCANS};
 use super::problem::HttpError;
 use super::{App, Shared, access};
-use crate::service::ErrorKind;
+use crate::service::{ErrorKind, ServiceError};
+use crate::transport::client::Client;
+use crate::transport::guard;
+use crate::transport::intake::Shape;
+use axum::Error;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderValue, Response as HttpResponse};
@@ -14,9 +20,6 @@ use std::time::Instant;
 
 /// What begins with this is limited; health and metrics answer also when the server is full.
 const OPERATIONS: &str = "/v1/";
-
-/// Its body is a whole map and may be long on its way: it has a time and places of its own.
-pub const IMPORT: &str = "/v1/maps/{map}/import";
 
 const SECONDS: &str = "ubbmap_http_request_seconds";
 const TOTAL: &str = "ubbmap_http_requests_total";
@@ -37,11 +40,10 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let response = if request.uri().path().starts_with(OPERATIONS) {
-        operation(&app, request, next, route == IMPORT).await
-    } else {
-        timed(&app, next.run(request)).await
-    };
+    let client = request.extensions().get::<Client>().cloned();
+    let mut response =
+        guarded(&app, request, next, &route).await.unwrap_or_else(|error| HttpError(error).into_response());
+    guard::close_refused(client.as_ref(), &mut response);
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
     histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());
@@ -50,27 +52,50 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     response
 }
 
-async fn operation(app: &Shared, request: Request, next: Next, import: bool) -> Response {
-    let (request, role) = access::admit(app, request).await;
-    let Some(role) = role else {
-        // The handler says no; it takes no place for that.
-        return timed(app, next.run(request)).await;
+/// Lets a request in with what it may take of the server's memory, and keeps the answer's until it has gone out.
+async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Result<Response, ServiceError> {
+    let shape = if route == IMPORT_MAP.path {
+        // A file has a limit of its own.
+        None
+    } else if route == INSERT_SCANS.path && lines::wanted(request.headers()) {
+        Some(Shape::Lines)
+    } else {
+        Some(Shape::Whole)
     };
-    let answered = async {
-        if import {
-            let _place = app.door.transfer()?;
-            return app.door.timed_transfer(next.run(request)).await;
+    let (request, admitted) = guard::admit(&app.door, request, shape, Error::new)?;
+    let versioned = request.uri().path().starts_with(OPERATIONS);
+    let response = if versioned {
+        let (request, role) = access::admit(app, request).await;
+        match role {
+            Some(role) => {
+                let answered = limited(app, request, next, route).await;
+                let mut response = answered.unwrap_or_else(|error| HttpError(error).into_response());
+                response.headers_mut().insert(access::ROLE, HeaderValue::from_static(role.word()));
+                response
+            }
+            // The handler says no; it takes no place for that.
+            None => app.door.timed(next.run(request)).await?,
         }
-        let _place = app.door.request()?;
-        app.door.timed(next.run(request)).await
+    } else {
+        limited(app, request, next, route).await?
     };
-    let mut response = answered.await.unwrap_or_else(|error| HttpError(error).into_response());
-    response.headers_mut().insert(access::ROLE, HeaderValue::from_static(role.word()));
-    response
+    admitted.answer(&app.door, response)
 }
 
-async fn timed(app: &Shared, answer: impl Future<Output = Response>) -> Response {
-    app.door.timed(answer).await.unwrap_or_else(|error| HttpError(error).into_response())
+/// `import`: the body is a whole map and may be long on its way, so it has a time and places of its own.
+async fn limited(app: &Shared, request: Request, next: Next, route: &str) -> Result<Response, ServiceError> {
+    if route == IMPORT_MAP.path {
+        let _place = app.door.transfer()?;
+        return app.door.timed_transfer(next.run(request)).await;
+    }
+    let _place = if route == INSERT_SCANS.path {
+        Some(app.door.insertion()?)
+    } else if request.uri().path().starts_with(OPERATIONS) {
+        Some(app.door.request()?)
+    } else {
+        None
+    };
+    app.door.timed(next.run(request)).await
 }
 
 /// The answer to a request whose handler panicked. The panic's words are for the log.

@@ -1,15 +1,20 @@
 //! Query strings.
 
 use super::HttpError;
+use super::openapi::Operation;
 use crate::transport::parameters::Parameters;
 use axum::extract::Query;
 use axum::http::Uri;
 
-/// The parameters of a query string, if each is among `known` and given once.
+/// The parameters of a query string, if the operation knows each and each is given once.
 ///
 /// # Errors
 /// [`crate::service::ErrorKind::InvalidRequest`] at the parameter.
-pub fn params(uri: &Uri, known: &[&str]) -> Result<Parameters, HttpError> {
+pub fn params(uri: &Uri, operation: &Operation) -> Result<Parameters, HttpError> {
+    among(uri, &operation.query())
+}
+
+fn among(uri: &Uri, known: &[&str]) -> Result<Parameters, HttpError> {
     let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri)
         .map_err(|error| HttpError::invalid("query", format!("the query string is not valid: {error}")))?;
     Ok(Parameters::new(pairs, known)?)
@@ -20,5 +25,5 @@ pub fn params(uri: &Uri, known: &[&str]) -> Result<Parameters, HttpError> {
 /// # Errors
 /// As [`params`].
 pub fn no_params(uri: &Uri) -> Result<(), HttpError> {
-    params(uri, &[]).map(drop)
+    among(uri, &[]).map(drop)
 }

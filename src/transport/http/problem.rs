@@ -48,6 +48,13 @@ impl From<&ServiceError> for Problem {
     }
 }
 
+impl Problem {
+    /// What one of a kind looks like, for the description of the interface.
+    pub fn example(kind: ErrorKind) -> Self {
+        Self::from(&ServiceError::new(kind, "a sentence that says what is wrong here"))
+    }
+}
+
 /// A failure of a handler.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HttpError(pub ServiceError);

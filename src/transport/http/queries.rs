@@ -1,6 +1,7 @@
 //! Classes at points, leaves of a box, and guaranteed-free, each also of a snapshot; where robots are.
 
 use super::body;
+use super::openapi::table::GET_REGION;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::{App, HttpError, accept, respond};
@@ -20,7 +21,7 @@ pub async fn classes(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     caller.may(Operation::GetClasses, &map)?;
     no_params(&parts.uri)?;
@@ -44,7 +45,7 @@ pub async fn guaranteed_free(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     caller.may(Operation::CheckGuaranteedFree, &map)?;
     no_params(&parts.uri)?;
@@ -68,7 +69,7 @@ pub async fn guaranteed_free(
 /// `GET /v1/maps/{map}/region`
 pub async fn region(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "blocks", "snapshot"])?;
+    let params = params(request.uri(), &GET_REGION)?;
     let form = accept::message(request.headers())?;
     let (query, blocks, snapshot) = (params.box_query()?, params.flag("blocks")?, params.snapshot()?);
     let answer = operations::view(&caller, Operation::GetRegion, &map, snapshot).await?.region(&query, blocks).await?;

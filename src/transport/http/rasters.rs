@@ -1,6 +1,7 @@
 //! Dense rasters: grids of a box and tiles of a node.
 
 use super::body::apart;
+use super::openapi::table::{GET_GRID, GET_TILE};
 use super::params::params;
 use super::path::{MapPath, TilePath};
 use super::{HttpError, accept, pictures, respond};
@@ -15,8 +16,10 @@ use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-const NPY: &str = "application/x-npy";
-const PNG: &str = "image/png";
+/// Media type of NumPy arrays.
+pub const NPY: &str = "application/x-npy";
+/// Media type of images.
+pub const PNG: &str = "image/png";
 
 /// What a raster is written as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -39,7 +42,7 @@ const FORMS: [(&str, Form); 5] = [
 /// `GET /v1/maps/{map}/grid`, also of a snapshot
 pub async fn grid(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format", "snapshot"])?;
+    let params = params(request.uri(), &GET_GRID)?;
     let form = match params.text("format") {
         None => accept::choose(request.headers(), &FORMS)?,
         Some("json") => Form::Json,
@@ -63,7 +66,7 @@ pub async fn grid(caller: OnBehalf, path: MapPath, request: Request) -> Result<R
 /// `GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png`, `.npy`, `.pb`, with an ETag of the tile's contents; also of a
 /// snapshot.
 pub async fn tile(caller: OnBehalf, path: TilePath, request: Request) -> Result<Response, HttpError> {
-    let params = params(request.uri(), &["snapshot"])?;
+    let params = params(request.uri(), &GET_TILE)?;
     let whole = "a whole number";
     let z = parse("z", &path.z, whole)?;
     let x = parse("x", &path.x, whole)?;

@@ -6,6 +6,7 @@ use super::path::MapPath;
 use super::{App, HttpError, accept, lines, respond};
 use crate::store::MapName;
 use crate::transport::access::{OnBehalf, Operation};
+use crate::transport::client::Client;
 use crate::transport::scan_stream;
 use crate::wire::{self, Batch};
 use axum::body::Body;
@@ -31,12 +32,14 @@ pub async fn insert(
         let MapPath(map) = path?;
         return stream(app, caller, &map, &parts, body).await;
     }
-    let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     let MapPath(map) = path?;
     caller.may(Operation::InsertScans, &map)?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::scan_encoding(&parts.headers)?;
+    // A full queue is told before the body is made scans of: that costs more than all else of a refusal.
+    caller.room(&map)?;
     let most = caller.settings().max_scans_per_request;
     let named = map.clone();
     let mut batch = body::apart(bytes.len(), move || match encoding {
@@ -59,7 +62,7 @@ async fn stream(app: App, caller: OnBehalf, map: &MapName, parts: &Parts, body: 
     body::plain(&parts.headers)?;
     // A map that is not there is a plain problem, and no stream that begins with one.
     caller.version(map).await?;
-    let place = app.door.stream()?;
+    let place = app.door.stream(parts.extensions.get::<Client>())?;
     let scans = lines::scans(body, map.clone(), app.settings.body_bytes);
     let (out, receiver) = mpsc::channel(WAITING_ACKNOWLEDGEMENTS);
     tokio::spawn(async move {

@@ -1,10 +1,14 @@
 //! The listener: connections are accepted, limited, timed, and let go at the end.
 
 use super::problem::{HttpError, PROBLEM_JSON, Problem};
-use crate::service::ErrorKind;
+use super::steady::Steady;
+use crate::service::{ErrorKind, limit_hit, setting};
 use crate::transport::access::{Listener, Peer};
+use crate::transport::client::{self, Client, PerClient};
 use crate::transport::tls::{Opened, Outcome, Secure, Tls, linger};
+use axum::http::Request;
 use axum::{Extension, Router};
+use hyper::body::Incoming;
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::GracefulShutdown;
@@ -16,6 +20,7 @@ use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
+use tower::ServiceExt;
 
 /// How long to wait after a failed accept: out of file descriptors, the next one fails as well.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -23,19 +28,28 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// How often a connection of HTTP/2 is asked whether its client is still there, and how long it may take to say so.
 const KEEP_ALIVE: Duration = Duration::from_secs(20);
 
-/// Most requests and streams of one connection of HTTP/2 at once.
-const STREAMS_PER_CONNECTION: u32 = 256;
+/// Heads of requests are read up to so many bytes, so that those above the limit are told what it is.
+const HEAD_BYTES: u32 = 64 << 10;
 
-/// Largest head of a request of HTTP/2, bytes.
-const HEAD_BYTES: u32 = 16 << 10;
+/// Most lines of a head.
+const HEAD_LINES: usize = 200;
+
+/// Streams of one connection of HTTP/2 that a client may begin and reset before they are looked at; more end the connection.
+const RESETS: usize = 20;
 
 /// Limits on connections.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct ServeLimits {
     /// Most open at once; more wait to be accepted.
     pub connections: usize,
     /// Longest time for a request's head to arrive, and for a handshake.
     pub header_timeout: Duration,
+    /// Longest time for a connection without a request, and for a write to move.
+    pub idle_timeout: Duration,
+    /// Most requests and streams of one connection of HTTP/2 at once.
+    pub requests_per_connection: u32,
+    /// The connections of each client.
+    pub clients: Arc<PerClient>,
     /// How long requests under way may take to end once `stop` is done.
     pub grace: Duration,
 }
@@ -57,6 +71,9 @@ pub async fn serve(
     tokio::pin!(stop);
     loop {
         let accepted = async {
+            if connections.available_permits() == 0 {
+                limit_hit(setting::CONNECTIONS);
+            }
             // The semaphore is never closed.
             let permit = Arc::clone(&connections).acquire_owned().await.ok();
             (listener.accept().await, permit)
@@ -72,16 +89,31 @@ pub async fn serve(
                 }
             },
         };
+        let Some((client, share)) = client::connected(&limits.clients, address.ip()) else {
+            tracing::debug!(%address, "closed: the client has too many connections");
+            continue;
+        };
+        // One that is only told that it is too many is not kept.
+        let idle = if client.is_refused() { limits.header_timeout } else { limits.idle_timeout };
         let (router, tls) = (router.clone(), tls.clone());
         let (builder, watcher) = (builder.clone(), graceful.watcher());
+        let moving = limits.idle_timeout;
         tokio::spawn(async move {
+            let _share = share;
             let Some(Opened { stream, certificate }) = open(stream, address, tls, patience).await else { return };
             let peer = Peer { address: Some(address), certificate, listener: kind };
-            let service = TowerToHyperService::new(tower::Layer::layer(&Extension(peer), router));
-            let connection = builder.serve_connection(TokioIo::new(stream), service);
-            if let Err(error) = watcher.watch(connection).await {
-                // A client that went away or sent no HTTP: its affair.
-                tracing::debug!(%error, "a connection ended early");
+            let router = tower::Layer::layer(&Extension(peer), router).map_request(named(client.clone()));
+            let stream = TokioIo::new(Steady::new(stream, moving));
+            let connection = builder.serve_connection(stream, TowerToHyperService::new(router));
+            tokio::select! {
+                ended = watcher.watch(connection) => if let Err(error) = ended {
+                    if error.downcast_ref::<hyper::Error>().is_some_and(hyper::Error::is_timeout) {
+                        limit_hit(setting::HEADER_SECONDS);
+                    }
+                    // A client that went away or sent no HTTP: its affair.
+                    tracing::debug!(%error, "a connection ended early");
+                },
+                () = client.idle(idle) => tracing::debug!(%address, "closed: nothing came for too long"),
             }
             drop(permit);
         });
@@ -94,15 +126,29 @@ pub async fn serve(
 
 fn builder(limits: &ServeLimits) -> Builder<TokioExecutor> {
     let mut builder = Builder::new(TokioExecutor::new());
-    builder.http1().timer(TokioTimer::new()).header_read_timeout(limits.header_timeout);
+    builder
+        .http1()
+        .timer(TokioTimer::new())
+        .header_read_timeout(limits.header_timeout)
+        .max_buf_size(HEAD_BYTES as usize)
+        .max_headers(HEAD_LINES);
     builder
         .http2()
         .timer(TokioTimer::new())
         .keep_alive_interval(KEEP_ALIVE)
         .keep_alive_timeout(KEEP_ALIVE)
-        .max_concurrent_streams(STREAMS_PER_CONNECTION)
+        .max_concurrent_streams(limits.requests_per_connection)
+        .max_pending_accept_reset_streams(RESETS)
         .max_header_list_size(HEAD_BYTES);
     builder
+}
+
+/// Says in each request whose it is.
+fn named(client: Client) -> impl Fn(Request<Incoming>) -> Request<Incoming> + Clone {
+    move |mut request| {
+        request.extensions_mut().insert(client.clone());
+        request
+    }
 }
 
 /// Brings a connection to where requests can come; `None` where it does not get there in time.
@@ -112,7 +158,10 @@ async fn open(stream: TcpStream, peer: SocketAddr, tls: Option<Tls>, patience: D
     let secure = tls.is_some();
     let opened = async move {
         // The version of HTTP is told by the first bytes, for which nothing below would wait in vain.
-        stream.readable().await.ok()?;
+        // Looked at rather than waited for: a stream is told to be readable now and then when it is not.
+        if stream.peek(&mut [0]).await.ok()? == 0 {
+            return None;
+        }
         let Some(tls) = tls else { return Some(Opened { stream: Secure::Left(stream), certificate: None }) };
         match tls.open(stream, peer).await {
             Outcome::Opened(opened) => Some(*opened),
@@ -126,6 +175,7 @@ async fn open(stream: TcpStream, peer: SocketAddr, tls: Option<Tls>, patience: D
     match tokio::time::timeout(patience, opened).await {
         Ok(opened) => opened,
         Err(_) => {
+            limit_hit(setting::HEADER_SECONDS);
             if secure {
                 Tls::late(peer);
             }

@@ -21,7 +21,7 @@ pub async fn create(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
+    let bytes = body::read(&parts, body, app.settings.config_limit()).await?;
     let MapPath(map) = path?;
     caller.may(Operation::CreateSnapshot, &map)?;
     no_params(&parts.uri)?;
@@ -69,7 +69,7 @@ async fn named(
     body: Body,
     path: Result<SnapshotPath, HttpError>,
 ) -> Result<SnapshotPath, HttpError> {
-    let bytes = body::read(&parts.headers, body, app.settings.config_bytes).await?;
+    let bytes = body::read(parts, body, app.settings.config_limit()).await?;
     let path = path?;
     caller.may(Operation::RestoreSnapshot, &path.map)?;
     no_params(&parts.uri)?;

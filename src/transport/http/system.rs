@@ -1,5 +1,6 @@
 //! Health, metrics, the index, and paths that are not there.
 
+use super::openapi::{self, table::OPERATIONS};
 use super::{App, HttpError, respond};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::access::{Listener, OnBehalf, Operation, Peer};
@@ -9,41 +10,22 @@ use axum::http::{Method, Uri};
 use axum::response::Response;
 use serde_json::json;
 
-/// What there is, as `/` tells it.
-const ROUTES: [&str; 23] = [
-    "GET /healthz",
-    "GET /readyz",
-    "GET /metrics",
-    "GET /v1/maps",
-    "PUT /v1/maps/{map}",
-    "GET /v1/maps/{map}",
-    "DELETE /v1/maps/{map}",
-    "POST /v1/maps/{map}/scans",
-    "POST /v1/maps/{map}/classes",
-    "POST /v1/maps/{map}/guaranteed-free",
-    "GET /v1/maps/{map}/region?min_x=&min_y=&max_x=&max_y=&depth=&blocks=",
-    "GET /v1/maps/{map}/grid?min_x=&min_y=&max_x=&max_y=&depth=&format=",
-    "GET /v1/maps/{map}/changes?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
-    "GET /v1/maps/{map}/events?since=&min_x=&min_y=&max_x=&max_y=&depth=&contents=",
-    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png",
-    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.npy",
-    "GET /v1/maps/{map}/tiles/{z}/{x}/{y}.pb",
-    "GET /v1/maps/{map}/snapshots",
-    "POST /v1/maps/{map}/snapshots",
-    "POST /v1/maps/{map}/snapshots/{name}/restore",
-    "DELETE /v1/maps/{map}/snapshots/{name}",
-    "GET /v1/maps/{map}/export?format=&snapshot=&depth=&mode=",
-    "PUT /v1/maps/{map}/import",
-];
-
 /// What `/readyz` says of a server that lets strangers in.
 const INSECURE: &[u8] = b"{\"status\":\"ready\",\"insecure\":true,\
     \"warning\":\"anyone who reaches this server may read and change every map: it was started with --insecure\"}";
 
 /// `GET /` for programs.
 pub fn index() -> Response {
-    let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": ROUTES });
+    let routes: Vec<String> = OPERATIONS.iter().map(|operation| route(operation)).collect();
+    let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": routes });
     respond::bytes_of(super::accept::JSON, Bytes::from(index.to_string()))
+}
+
+/// An operation in one line, with the parameters that it knows.
+fn route(operation: &openapi::Operation) -> String {
+    let query: Vec<String> = operation.query().iter().map(|name| format!("{name}=")).collect();
+    let mark = if query.is_empty() { "" } else { "?" };
+    format!("{} {}{mark}{}", operation.method.word(), operation.shown_path(), query.join("&"))
 }
 
 /// `GET /healthz`: the process answers.

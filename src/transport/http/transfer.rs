@@ -1,6 +1,7 @@
 //! Whole maps as files: `GET .../export` and `PUT .../import`.
 
 use super::body;
+use super::openapi::table::EXPORT_MAP;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
@@ -23,7 +24,7 @@ pub async fn export(
     request: Request,
 ) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["format", "snapshot", "depth", "mode"])?;
+    let params = params(request.uri(), &EXPORT_MAP)?;
     let (format, media) = match params.text("format") {
         None | Some("ubbmap") => (v1::ExportFormat::Ubbmap, "application/octet-stream"),
         Some("nav2") => (v1::ExportFormat::Nav2, "application/zip"),
@@ -82,11 +83,7 @@ pub async fn import(
         return Err(refused.into());
     }
     body::plain(&parts.headers)?;
-    let limit = app.settings.import_bytes;
-    let file = body::collect(body, limit).await.map_err(|error| match error.0.kind {
-        ErrorKind::BodyTooLarge => HttpError(files::too_large(limit)),
-        _ => error,
-    })?;
+    let file = body::collect(body, app.settings.import_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;

@@ -20,6 +20,9 @@ static ASSETS: &[Asset] = include!(concat!(env!("OUT_DIR"), "/viewer.rs"));
 
 const PAGE: &str = "index.html";
 
+/// The page that shows the description of the interface.
+const DOCS: &str = "docs.html";
+
 /// Names in this folder hold a hash of the contents.
 const HASHED: &str = "assets/";
 
@@ -29,10 +32,14 @@ const HTML: &str = "text/html; charset=utf-8";
 const POLICY: &str =
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; object-src 'none'";
 
+/// The page of the description draws its signs from its sheet, as `data:` images.
+const DOCS_POLICY: &str = "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; \
+    object-src 'none'";
+
 /// What stands at `/` where the viewer is not in the binary.
 const WITHOUT: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>ubbmap</title><h1>ubbmap</h1>\
-    <p>The viewer is not in this build of the server. The interface works without it: maps are at \
-    <a href=\"/v1/maps\">/v1/maps</a>, metrics at <a href=\"/metrics\">/metrics</a>.</p></html>\n";
+    <p>The pages are not in this build of the server. The interface works without them: it is described at \
+    <a href=\"/openapi.json\">/openapi.json</a>, maps are at <a href=\"/v1/maps\">/v1/maps</a>, metrics at <a href=\"/metrics\">/metrics</a>.</p></html>\n";
 
 /// What `/` is: programs get the list of routes, browsers the page.
 #[derive(Debug, Clone, Copy)]
@@ -54,7 +61,14 @@ pub async fn index(request: Request) -> Result<Response, HttpError> {
     }
 }
 
-/// The viewer's page, or where it is not in the binary one that says so.
+/// The page that shows the description of the interface.
+pub fn docs(headers: &HeaderMap) -> Response {
+    let mut response = page(find(DOCS), headers);
+    response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(DOCS_POLICY));
+    response
+}
+
+/// A page, or where it is not in the binary one that says so.
 pub(super) fn page(page: Option<&'static Asset>, headers: &HeaderMap) -> Response {
     match page {
         Some(page) => file(page, headers),

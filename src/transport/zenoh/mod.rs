@@ -21,7 +21,7 @@ mod zenoh_tests;
 
 use super::access::{Caller, Guarded, OnBehalf, Origin, Peer};
 use super::door::Door;
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, MapService, ServiceError, setting};
 use ::zenoh::Session;
 use ::zenoh::liveliness::LivelinessToken;
 use ::zenoh::pubsub::Subscriber;
@@ -277,7 +277,11 @@ async fn work(mut queue: mpsc::Receiver<Query>, context: Arc<Context>, places: A
 /// Tells those for whom there was no room.
 async fn refuse(mut queue: mpsc::Receiver<Query>, context: Arc<Context>) {
     while let Some(query) = queue.recv().await {
-        let busy = ServiceError::new(ErrorKind::Busy, "as many queries wait as the server's queue holds: try again");
+        let busy = ServiceError::over(
+            ErrorKind::Busy,
+            setting::ZENOH_QUEUE,
+            "as many queries wait as the server's queue holds: try again",
+        );
         finish(&context, query, Err(busy)).await;
     }
 }
@@ -305,7 +309,7 @@ async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, Servi
         let limit = settings.message_bytes;
         if payload.len() > limit {
             let detail = format!("the payload is larger than {limit} bytes, the limit: send less at a time");
-            return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
+            return Err(ServiceError::over(ErrorKind::BodyTooLarge, setting::BODY_BYTES, detail).at("body"));
         }
         let asked = Asked { target: target?, parameters: query.parameters().as_str(), payload: &payload };
         door.timed(queries::answer(caller, asked)).await?

@@ -2,7 +2,7 @@
 
 use super::keys::{Operation, Target};
 use super::reply::Reply;
-use crate::service::{ErrorKind, ServiceError};
+use crate::service::{ErrorKind, ServiceError, setting};
 use crate::store::MapName;
 use crate::transport::access::OnBehalf;
 use crate::transport::operations;
@@ -83,7 +83,7 @@ async fn plain(service: &OnBehalf, map: MapName, operation: Operation, payload: 
             let most = service.settings().max_scans_per_request;
             if request.scans.len() > most {
                 let detail = format!("the request has {} scans, the limit is {most}", request.scans.len());
-                return Err(ServiceError::new(ErrorKind::TooManyScans, detail).at("scans"));
+                return Err(ServiceError::over(ErrorKind::TooManyScans, setting::SCANS_PER_REQUEST, detail).at("scans"));
             }
             let mut batch = wire::Batch::of_robot(request.scans, &robot);
             let answer = service.insert(&map, batch.take_scans()).await?;
