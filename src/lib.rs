@@ -14,7 +14,7 @@
 //! | 4 | `service` | named maps, one writer each, queries |
 //! | 5 | `wire` | messages of the interface and their conversion |
 //! | 5 | `transport` | HTTP: translation only |
-//! | 6 | `config`, `telemetry`, `app`, `logs`, `picture`, `experiment`, `cli` | the program |
+//! | 6 | `config`, `telemetry`, `reload`, `app`, `logs`, `picture`, `experiment`, `cli` | the program |
 //!
 //! Floors 0 to 2 do no I/O, read no clock and are not async; they build with `--no-default-features`.
 
@@ -37,6 +37,8 @@ pub mod experiment;
 pub mod logs;
 #[cfg(feature = "server")]
 pub mod picture;
+#[cfg(feature = "server")]
+pub mod reload;
 #[cfg(feature = "server")]
 pub mod service;
 #[cfg(feature = "server")]

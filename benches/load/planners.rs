@@ -87,7 +87,7 @@ pub async fn ask(
 
 async fn one_tile(client: &mut Client, turn: u32) {
     let (z, x, y) = TILES[turn as usize % TILES.len()];
-    let request = v1::GetTileRequest { map: "hall".to_owned(), z, x, y };
+    let request = v1::GetTileRequest { map: "hall".to_owned(), z, x, y, ..v1::GetTileRequest::default() };
     let tile = client.get_tile(request).await.unwrap().into_inner();
     assert_eq!(tile.classes.len(), 256 * 256);
 }
@@ -102,7 +102,7 @@ async fn one_region(client: &mut Client, fleet: &Fleet, turn: u32) {
     let request = v1::CheckGuaranteedFreeRequest {
         map: "hall".to_owned(),
         regions: regions.map(|shape| v1::Region { shape: Some(shape) }).into(),
-        tolerance: 0,
+        ..v1::CheckGuaranteedFreeRequest::default()
     };
     assert_eq!(client.check_guaranteed_free(request).await.unwrap().into_inner().results.len(), 2);
 }

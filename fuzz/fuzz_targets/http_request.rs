@@ -12,6 +12,7 @@ use std::time::Duration;
 use tower::ServiceExt;
 use ubbmap::service::{MapService, ServiceSettings};
 use ubbmap::store::MemoryStore;
+use ubbmap::transport::access::{Access, Guarded};
 use ubbmap::transport::door::{Door, DoorSettings};
 use ubbmap::transport::http::{self, HttpSettings, OutsideView};
 
@@ -77,7 +78,7 @@ fn router() -> axum::Router {
     });
     let limits = HttpSettings { body_bytes: 1 << 16, config_bytes: 1 << 14, import_bytes: 1 << 16, scans_per_stream: 4 };
     let outside = OutsideView { metrics: Box::new(String::new), reachable: Box::new(|| true) };
-    http::router(service, limits, door, outside)
+    http::router(Guarded::new(service, Access::open(false)), limits, door, outside)
 }
 
 fn site() -> &'static Site {

@@ -1,8 +1,9 @@
 //! `ubbmap build`: a log to a map file, offline.
 
+use super::bag::BagFlags;
 use super::mapper::{BATCH, Mapper};
 use super::options::{MapOptions, SENSOR, SensorOptions, map_config, rule_name};
-use super::output::{Failure, Progress, causes, say, say_json, write_whole};
+use super::output::{Failure, Progress, causes, note, say, say_json, write_whole};
 use crate::logs::{LogReader, LogScan, PoseError};
 use crate::mapping::Surveyor;
 use crate::picture::{Picture, known_range};
@@ -21,10 +22,11 @@ use std::sync::atomic::Ordering;
 #[derive(Debug, Args)]
 #[command(
     allow_negative_numbers = true,
-    after_help = "Example:\n  ubbmap build fr079.jsonl.gz --out fr079.ubbmap --png fr079.png --pose-error 0.03,0.7deg"
+    after_help = "Example:\n  ubbmap build fr079.jsonl.gz --out fr079.ubbmap --png fr079.png --pose-error 0.03,0.7deg\n  \
+    ubbmap build drive/ --out hall.ubbmap --scan-topic /scan --pose-error 0.05,1deg"
 )]
 pub(super) struct Build {
-    /// The log: CARMEN or JSON lines, plain or gzip
+    /// The log: CARMEN or JSON lines, plain or gzip; or a ROS 2 bag: MCAP, .db3 or a folder of them
     log: PathBuf,
     /// Map file to write
     #[arg(long, value_name = "FILE")]
@@ -38,6 +40,8 @@ pub(super) struct Build {
     sensor: SensorOptions,
     #[command(flatten)]
     scans: ScanOptions,
+    #[command(flatten)]
+    bag: BagFlags,
     /// Use every Nth scan of the log
     #[arg(long, default_value = "1", value_name = "N", help_heading = "Run")]
     every: NonZeroUsize,
@@ -87,28 +91,62 @@ impl ScanOptions {
 ///
 /// # Errors
 /// Names the file.
-pub(super) fn open_log(path: &Path) -> Result<LogReader, Failure> {
-    Ok(LogReader::open(path, ScanLimits::default()).context("cannot read the log")?)
+pub(super) fn open_log(path: &Path, bag: &BagFlags) -> Result<LogReader, Failure> {
+    let reader = LogReader::open_with(path, ScanLimits::default(), &bag.options()).context("cannot read the log")?;
+    if let Some(flag) = bag.given().filter(|_| reader.chosen().is_none()) {
+        return Err(Failure::Usage(format!("--{flag} is for ROS 2 bags, and {} is none", path.display())));
+    }
+    Ok(reader)
+}
+
+/// Says what is read of a bag.
+pub(super) fn tell_choice(reader: &LogReader) {
+    if let Some(chosen) = reader.chosen() {
+        note(chosen);
+    }
+}
+
+/// Says how many scans of a log were passed over, and why.
+pub(super) fn tell_left_out(reader: &LogReader) {
+    let (count, why) = reader.left_out();
+    if let Some(why) = why {
+        note(&format!("{count} scans were left out: {why}"));
+    }
+}
+
+/// Refuses a log whose first scan cannot be read, and one without a scan.
+///
+/// # Errors
+/// Names the file, and what it has in place of scans.
+pub(super) fn check_first(path: &Path, reader: &LogReader) -> Result<(), Failure> {
+    match reader.first() {
+        Some(Ok(_)) => Ok(()),
+        Some(Err(error)) => Err(anyhow::anyhow!("{}: no scans: {error}", path.display()).into()),
+        None => Err(anyhow::anyhow!("{}: no scans: {}", path.display(), reader.nothing()).into()),
+    }
 }
 
 impl Build {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
         self.check_targets()?;
-        let reader = open_log(&self.log)?;
+        let mut reader = open_log(&self.log, &self.bag)?;
+        check_first(&self.log, &reader)?;
+        tell_choice(&reader);
         let config = map_config(&self.map, &self.sensor, reader.sensor())?;
         let threads = self.threads.or_else(|| std::thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let mut mapper = Mapper::new(config, threads)?;
-        let damage = self.feed(&mut mapper, reader)?;
+        let damage = self.feed(&mut mapper, &mut reader)?;
+        tell_left_out(&reader);
         if mapper.scans() == 0 {
-            let why = damage
-                .map_or_else(|| "it has no FLASER, ROBOTLASER1 or JSON scans".to_owned(), |damage| causes(&damage));
-            return Err(anyhow::anyhow!("{}: no scans: {why}", self.log.display()).into());
+            // The first scan could be read, so it is one that is refused.
+            let why = damage.map_or_else(String::new, |damage| format!(": {}", causes(&damage)));
+            return Err(anyhow::anyhow!("{}: no scans{why}", self.log.display()).into());
         }
         let file_bytes = self.write(&mapper)?;
         let counts = Counts::of(&mapper);
         if self.json {
-            say_json(&counts.json(&mapper, &self, threads, file_bytes))?;
+            say_json(&counts.json(&mapper, &self, threads, file_bytes, reader.left_out().0))?;
         } else {
             say(&counts.table(&mapper, &self.out, file_bytes))?;
         }
@@ -140,9 +178,9 @@ impl Build {
     }
 
     /// Reads the log in batches and maps each; returns what ended the log early.
-    fn feed(&self, mapper: &mut Mapper, mut reader: LogReader) -> Result<Option<anyhow::Error>, Failure> {
-        let size = std::fs::metadata(&self.log).map_or(0, |file| file.len());
+    fn feed(&self, mapper: &mut Mapper, reader: &mut LogReader) -> Result<Option<anyhow::Error>, Failure> {
         let read = reader.bytes_read();
+        let (size, unit) = (reader.size(), reader.unit());
         let mut progress = Progress::new(size, "scans", self.json);
         let sensor = *mapper.config().sensors().get(SENSOR).context("the map has no sensor")?;
         let mut left = self.limit.map_or(u64::MAX, NonZeroU64::get);
@@ -162,7 +200,7 @@ impl Build {
                     }
                     let scan = self.scans.scan(scan, &sensor);
                     let fitting = scan.and_then(|scan| Surveyor::fits(mapper.config(), &scan).map(|()| Some(scan)));
-                    fitting.with_context(|| format!("line {line}"))
+                    fitting.with_context(|| format!("{unit} {line}"))
                 });
                 match checked {
                     Ok(Some(scan)) => {
@@ -242,7 +280,7 @@ impl Counts {
 
     /// The object of `--json`: areas are those of the whole map, whose root is mostly unknown; `bounds` is the box of
     /// what is known, with the unknown area inside it.
-    fn json(&self, mapper: &Mapper, build: &Build, threads: usize, file_bytes: u64) -> Value {
+    fn json(&self, mapper: &Mapper, build: &Build, threads: usize, file_bytes: u64, left_out: u64) -> Value {
         let grid = mapper.config().grid();
         let bounds = self.known.map(|known| {
             let at = |origin: f64, index: u32| origin + f64::from(index) * grid.resolution();
@@ -266,6 +304,7 @@ impl Counts {
             "memory_bytes": self.tree.memory_bytes,
             "file_bytes": file_bytes,
             "revision": mapper.scans(),
+            "left_out": left_out,
             "bounds": bounds,
             "settings": build.settings(mapper, threads),
         })
@@ -313,6 +352,7 @@ impl Build {
             "min_obstacle_width": config.min_obstacle_width(),
             "pose_error": {"position": self.scans.pose_error.position, "heading": self.scans.pose_error.heading},
             "footprint_radius": self.scans.footprint_radius,
+            "bag": self.bag.json(),
             "sensor": sensor,
             "every": self.every,
             "limit": self.limit,

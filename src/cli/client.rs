@@ -1,12 +1,17 @@
 //! The one HTTP client of the command line: protobuf bodies over REST, blocking.
 
 use super::output::Failure;
+use super::secure::{self, SecureOptions};
 use crate::mapping::MapConfig;
 use crate::store::{MapName, SnapshotName};
 use crate::transport::http::Problem;
 use crate::wire::{to_wire_config, v1};
 use clap::Args;
 use prost::Message;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 use thiserror::Error;
 
@@ -20,6 +25,9 @@ const MAX_ANSWER_BYTES: u64 = 256 << 20;
 
 /// Longest time for one request, seconds.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// Bytes of a file of a token that are read.
+const LONGEST_TOKEN_FILE: u64 = 4096;
 
 /// Names farther apart than this are not offered.
 const LEAST_SIMILARITY: f64 = 0.7;
@@ -39,6 +47,60 @@ pub(super) struct ServerOptions {
     /// The server [default: $UBBMAP_SERVER, or http://127.0.0.1:8080]
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    /// The token for it; others on this machine see what stands on a command line [default: $UBBMAP_TOKEN]
+    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file")]
+    token: Option<Token>,
+    /// A file that holds the token [default: $UBBMAP_TOKEN_FILE]
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    #[command(flatten)]
+    secure: SecureOptions,
+}
+
+/// A token for the server. It is in no message of an error and in no debug form.
+#[derive(Clone)]
+struct Token(String);
+
+impl FromStr for Token {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let text = text.trim();
+        let fits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_graphic());
+        if fits { Ok(Self(text.to_owned())) } else { Err("is no token: it must be one word") }
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token")
+    }
+}
+
+impl ServerOptions {
+    /// The token that the flags name, else the environment.
+    fn token(&self) -> Result<Option<Token>, Failure> {
+        if self.token.is_some() {
+            return Ok(self.token.clone());
+        }
+        if let Some(file) = &self.token_file {
+            return read_token(file, "--token-file").map(Some);
+        }
+        // An empty variable is none.
+        let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());
+        if let Some(token) = variable("UBBMAP_TOKEN") {
+            let token = token.to_str().unwrap_or_default().parse();
+            return token.map(Some).map_err(|problem| Failure::Usage(format!("UBBMAP_TOKEN {problem}")));
+        }
+        variable("UBBMAP_TOKEN_FILE").map(|file| read_token(Path::new(&file), "UBBMAP_TOKEN_FILE")).transpose()
+    }
+}
+
+fn read_token(file: &Path, named_by: &str) -> Result<Token, Failure> {
+    let (mut text, path) = (String::new(), file.display());
+    let read = File::open(file).and_then(|file| file.take(LONGEST_TOKEN_FILE).read_to_string(&mut text));
+    read.map_err(|error| Failure::Usage(format!("{named_by}: cannot read {path}: {error}")))?;
+    text.parse().map_err(|problem| Failure::Usage(format!("{named_by}: what {path} holds {problem}")))
 }
 
 /// Why a request failed.
@@ -47,6 +109,14 @@ pub(super) enum ClientError {
     /// No answer came.
     #[error("cannot reach the server at {server}: {why}")]
     Unreachable {
+        /// Its address.
+        server: String,
+        /// Why.
+        why: String,
+    },
+    /// No connection that both sides trust.
+    #[error("no trusted connection to {server}: {why}")]
+    NotTrusted {
         /// Its address.
         server: String,
         /// Why.
@@ -75,7 +145,7 @@ impl ClientError {
         match self {
             Self::Unreachable { .. } => true,
             Self::Refused { status, .. } => matches!(status, 429 | 502..=504),
-            Self::NotUnderstood(_) => false,
+            Self::NotTrusted { .. } | Self::NotUnderstood(_) => false,
         }
     }
 
@@ -96,32 +166,48 @@ impl ClientError {
 pub(super) struct Client {
     agent: ureq::Agent,
     server: String,
-    token: Option<String>,
+    token: Option<Token>,
 }
 
 impl Client {
     /// A client of the server that the flags or the environment name.
     pub(super) fn new(options: &ServerOptions) -> Result<Self, Failure> {
         let server = options.server.clone().or_else(|| std::env::var("UBBMAP_SERVER").ok());
-        Self::of(server.as_deref().unwrap_or(DEFAULT_SERVER))
+        let server = server.as_deref().unwrap_or(DEFAULT_SERVER);
+        if options.secure.any() && server.starts_with("http://") {
+            let problem = format!("--ca, --cert and --key are for a server of https://, and this is {server}");
+            return Err(Failure::Usage(problem));
+        }
+        let client = Self::with(server, &options.secure.with_environment())?;
+        Ok(Self { token: options.token()?, ..client })
     }
 
-    /// A client of a server.
+    /// A client of a server without TLS and without a token.
     ///
     /// # Errors
     /// Bad usage for what is no URL.
     pub(super) fn of(server: &str) -> Result<Self, Failure> {
+        Self::with(server, &SecureOptions::default())
+    }
+
+    fn with(server: &str, secure: &SecureOptions) -> Result<Self, Failure> {
         let server = server.trim_end_matches('/');
-        if !server.starts_with("http://") {
-            return Err(Failure::Usage(format!("--server {server:?} must be a URL that begins with http://")));
+        let tls = server.starts_with("https://");
+        if !tls && !server.starts_with("http://") {
+            let problem = format!("--server {server:?} must be a URL that begins with http:// or https://");
+            return Err(Failure::Usage(problem));
         }
-        let config = ureq::Agent::config_builder()
+        let mut config = ureq::Agent::config_builder();
+        if tls {
+            config = config.tls_config(secure.config()?);
+        }
+        let config = config
             .http_status_as_error(false)
             .timeout_global(Some(REQUEST_TIMEOUT))
             .timeout_connect(Some(Duration::from_secs(5)))
             .user_agent(concat!("ubbmap/", env!("CARGO_PKG_VERSION")))
             .build();
-        Ok(Self { agent: config.into(), server: server.to_owned(), token: std::env::var("UBBMAP_TOKEN").ok() })
+        Ok(Self { agent: config.into(), server: server.to_owned(), token: None })
     }
 
     /// Creates a map, or finds it there with this configuration.
@@ -138,6 +224,16 @@ impl Client {
     /// Lists the maps.
     pub(super) fn maps(&self) -> Result<v1::ListMapsResponse, ClientError> {
         self.call("GET", "/v1/maps", None)
+    }
+
+    /// Asks whether the server takes work.
+    pub(super) fn ready(&self) -> Result<(), ClientError> {
+        self.exchange("GET", "/readyz", None).map(drop)
+    }
+
+    /// The server's address.
+    pub(super) fn server(&self) -> &str {
+        &self.server
     }
 
     /// Deletes a map.
@@ -158,7 +254,8 @@ impl Client {
         regions: Vec<v1::Region>,
         tolerance: u32,
     ) -> Result<v1::CheckGuaranteedFreeResponse, ClientError> {
-        let request = v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance };
+        let request =
+            v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance, ..Default::default() };
         self.call("POST", &format!("/v1/maps/{map}/guaranteed-free"), Some(request.encode_to_vec()))
     }
 
@@ -190,27 +287,31 @@ impl Client {
         Failure::Failed(anyhow::anyhow!("no snapshot '{name}'; {hint}"))
     }
 
-    /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`.
+    /// Does `request` until it succeeds, fails for good, `stop` says so, or nothing has come for `patience`. `waiting` is
+    /// told the attempts so far and the error of each that is followed by another.
     pub(super) fn patiently<T>(
         patience: Duration,
         stop: impl Fn() -> bool,
+        waiting: impl Fn(u32, &ClientError),
         request: impl Fn() -> Result<T, ClientError>,
     ) -> Result<T, ClientError> {
         let started = Instant::now();
         let mut pause = FIRST_PAUSE;
-        loop {
+        for attempt in 1_u32.. {
             match request() {
                 Err(error) if error.is_passing() && !stop() => {
                     let wait = error.retry_after().map_or(pause, |asked| asked.min(LONGEST_PAUSE));
                     if started.elapsed() + wait > patience {
                         return Err(error);
                     }
+                    waiting(attempt, &error);
                     std::thread::sleep(wait);
                     pause = (2 * pause).min(LONGEST_PAUSE);
                 }
                 other => return other,
             }
         }
+        request()
     }
 
     /// Keeps a map's last revision under a name.
@@ -267,7 +368,7 @@ impl Client {
     pub(super) fn head(&self, method: &str, path: &str) -> ureq::http::request::Builder {
         let request = ureq::http::Request::builder().method(method).uri(format!("{}{path}", self.server));
         match &self.token {
-            Some(token) => request.header("authorization", format!("Bearer {token}")),
+            Some(Token(token)) => request.header("authorization", format!("Bearer {token}")),
             None => request,
         }
     }
@@ -276,7 +377,10 @@ impl Client {
         &self.agent
     }
 
-    pub(super) fn unreachable(&self, why: &dyn std::fmt::Display) -> ClientError {
+    pub(super) fn unreachable(&self, why: &(dyn std::error::Error + 'static)) -> ClientError {
+        if let Some(why) = secure::fault(why) {
+            return ClientError::NotTrusted { server: self.server.clone(), why };
+        }
         ClientError::Unreachable { server: self.server.clone(), why: why.to_string() }
     }
 

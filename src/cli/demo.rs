@@ -3,7 +3,7 @@
 use super::client::{Client, map_name};
 use super::output::{Failure, note, say, say_json};
 use super::replay::sender::{Numbered, Running, Tally, Team};
-use crate::app::{AppError, Server};
+use crate::app::{AppError, Server, bind};
 use crate::config::Config;
 use crate::mapping::{EvidenceRule, MapConfig};
 use crate::picture::Picture;
@@ -17,6 +17,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -50,10 +51,10 @@ pub(super) struct Demo {
     #[arg(long, default_value_t = 1, value_name = "N")]
     seed: u64,
     /// Robots
-    #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
     robots: u16,
     /// Seconds of the building's time that pass in one of ours
-    #[arg(long, default_value_t = 4.0, value_name = "X", value_parser = super::replay::positive)]
+    #[arg(long, default_value_t = 6.0, value_name = "X", value_parser = super::replay::positive)]
     speed: f64,
     /// Map for so many seconds [default: until stopped, or 20 with --exit]
     #[arg(long, value_name = "S", value_parser = super::replay::positive)]
@@ -61,9 +62,9 @@ pub(super) struct Demo {
     /// End after the duration, with a summary; else serve on until stopped
     #[arg(long)]
     exit: bool,
-    /// Address to listen on; port 0 takes a free one
-    #[arg(long, default_value = "127.0.0.1:8080", value_name = "ADDRESS")]
-    listen: SocketAddr,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080, or a free port where that is taken]
+    #[arg(long, value_name = "ADDRESS")]
+    listen: Option<SocketAddr>,
     /// Directory of the store, kept afterwards [default: a new one, deleted afterwards]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -94,22 +95,34 @@ impl Demo {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
         let directory = self.directory()?;
-        let config = Config {
-            listen: self.listen,
+        let mut config = Config {
+            listen: self.listen.unwrap_or(Config::default().listen),
             data_dir: directory.path.clone(),
             log: "warn".to_owned(),
             ..Config::default()
         };
-        telemetry::init(&config.log, config.log_format);
+        telemetry::init(&config.log, config.log_format, None);
+        let refused = |error| match error {
+            AppError::Config(error) => Failure::Configuration(error.to_string()),
+            error => Failure::Failed(error.into()),
+        };
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+        config.check().map_err(|error| refused(error.into()))?;
+        let bound = match runtime.block_on(bind(&config)) {
+            // Nobody asked for this port, so a free one is as good.
+            Err(AppError::Listen { source, .. }) if self.listen.is_none() && source.kind() == ErrorKind::AddrInUse => {
+                config.listen.set_port(0);
+                runtime.block_on(bind(&config))
+            }
+            bound => bound,
+        };
+        let bound = bound.map_err(refused)?;
         let store: Arc<dyn MapStore> = Arc::new(
             SledStore::open(&directory.path, SledOptions::default())
                 .with_context(|| format!("cannot open the store in {}", directory.path.display()))?,
         );
-        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-        let server = runtime.block_on(Server::start(&config, Arc::clone(&store))).map_err(|error| match error {
-            AppError::Config(error) => Failure::Configuration(error.to_string()),
-            error => Failure::Failed(error.into()),
-        })?;
+        let started = Server::start_on(bound, &config, Arc::clone(&store));
+        let server = runtime.block_on(started).map_err(refused)?;
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
         runtime.spawn(async move {
@@ -148,9 +161,11 @@ impl Demo {
         let made = client.create_map(map, &config()?).map_err(|error| client.explain(map, error))?;
         let done: BTreeMap<String, u64> =
             made.robots.into_iter().filter_map(|robot| Some((robot.robot, robot.highest_sequence?))).collect();
-        let mut drive = Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)), done, last: None };
+        let mut drive =
+            Drive { demo: self, fleet: Fleet::new(self.seed, usize::from(self.robots)).with_glass(), done, last: None };
         let names = (0..self.robots).map(|i| RobotName::new(&format!("robot-{i}"))).collect::<Result<Vec<_>, _>>()?;
-        let team = Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false };
+        let team =
+            Team { client, map: map.clone(), patience: Duration::from_secs(10), batch: 32, whole: false, unit: "scan" };
         let mut tally = team.run(&names, |hand_over, running| drive.run(&names, hand_over, running, stop));
         if let Some(error) = tally.failure.take() {
             return Err(team.client.explain(map, error));
@@ -191,7 +206,7 @@ impl Demo {
         if self.json {
             return say_json(&json!({
                 "map": team.map.as_str(), "robots": self.robots, "applied": tally.applied,
-                "rejected": tally.rejected, "revision": tally.revision,
+                "rejected": tally.rejected, "revision": tally.revision.to_string(),
                 "area_free": free, "area_occupied": occupied,
                 "examples": [
                     {"disc": {"x": x, "y": y, "radius": EXAMPLE_RADIUS}, "free": verdict(0)},

@@ -1,6 +1,7 @@
 //! `ubbmap experiment`: the paper's experiment on a log, as a report.
 
-use super::build::open_log;
+use super::bag::BagFlags;
+use super::build::{check_first, open_log, tell_choice};
 use super::options::SensorOptions;
 use super::output::{Failure, note, say, say_json};
 use crate::experiment::Experiment;
@@ -23,7 +24,7 @@ use std::path::PathBuf;
     after_help = "Example:\n  ubbmap experiment fr079.jsonl.gz --out report --pose-error 0.03,0.7deg"
 )]
 pub(super) struct RunExperiment {
-    /// The log: CARMEN or JSON lines, plain or gzip
+    /// The log: CARMEN or JSON lines, plain or gzip; or a ROS 2 bag: MCAP, .db3 or a folder of them
     log: PathBuf,
     /// Folder for report.md, report.html, figures and tables; made where it is not there
     #[arg(long, value_name = "DIR")]
@@ -39,6 +40,8 @@ pub(super) struct RunExperiment {
     min_obstacle_width: f64,
     #[command(flatten)]
     sensor: SensorOptions,
+    #[command(flatten)]
+    bag: BagFlags,
     /// How far poses may be off where the experiment takes them as uncertain
     #[arg(long, default_value = "0.03,0.7deg", value_name = "M,ANGLE", help_heading = "Scans")]
     pose_error: PoseError,
@@ -84,7 +87,9 @@ impl RunExperiment {
                 "--octomap: no file {driver}; benches/peers/run --build makes the driver"
             )));
         }
-        let reader = open_log(&self.log)?;
+        let reader = open_log(&self.log, &self.bag)?;
+        check_first(&self.log, &reader)?;
+        tell_choice(&reader);
         let model = self.sensor.model(reader.sensor())?;
         let experiment = Experiment {
             log: self.log.file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -112,6 +117,7 @@ impl RunExperiment {
 
 /// The scans of a log, each at the middle of its pose.
 fn exact_scans(reader: LogReader, sensor: &SensorModel) -> anyhow::Result<Vec<Scan>> {
+    let unit = reader.unit();
     reader
         .map(|item| {
             let scan = item?;
@@ -122,14 +128,14 @@ fn exact_scans(reader: LogReader, sensor: &SensorModel) -> anyhow::Result<Vec<Sc
             };
             let spec = ScanSpec {
                 pose: PoseBox::new(middle(x), middle(y), middle(theta), &PoseLimits::default())
-                    .with_context(|| format!("line {}", scan.line))?,
+                    .with_context(|| format!("{unit} {}", scan.line))?,
                 angles: scan.angles,
                 ranges: scan.ranges,
                 footprint_radius: 0.0,
                 sweep_rotation: 0.0,
                 sweep_translation: 0.0,
             };
-            Scan::new(spec, *sensor, &ScanLimits::default()).with_context(|| format!("line {}", scan.line))
+            Scan::new(spec, *sensor, &ScanLimits::default()).with_context(|| format!("{unit} {}", scan.line))
         })
         .collect()
 }

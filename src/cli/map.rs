@@ -28,7 +28,7 @@ enum Action {
     #[command(after_help = "Example:\n  ubbmap map create hall --resolution 0.05 --min-obstacle-width 0.05")]
     Create(Box<Create>),
     /// Lists the maps
-    #[command(after_help = "Example:\n  ubbmap map list --server http://10.0.0.5:8080")]
+    #[command(after_help = "Example:\n  ubbmap map list --server http://127.0.0.1:8080")]
     List(List),
     /// Shows a map's configuration, revision and robots
     #[command(after_help = "Example:\n  ubbmap map show hall --json")]

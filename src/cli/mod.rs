@@ -1,18 +1,24 @@
 //! Floor 6: the command line.
 
+mod bag;
 mod build;
 mod check;
 mod client;
 mod demo;
 mod experiment;
+mod health;
 mod map;
 mod mapper;
 mod options;
 mod output;
+mod preflight;
 mod replay;
+mod secure;
 mod serve;
+mod shell;
 mod snapshots;
 mod store;
+mod token;
 mod transfer;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -24,7 +30,7 @@ use std::process::ExitCode;
 #[derive(Debug, Parser)]
 #[command(name = "ubbmap", version, max_term_width = 120, arg_required_else_help = true)]
 #[command(
-    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage, 64 bad configuration.\n\nExample:\n  ubbmap build log.gz --out map.ubbmap --png map.png"
+    after_help = "Exit codes: 0 done, 1 failed, 2 bad usage, 64 bad configuration.\n\nExample:\n  ubbmap build fr079.jsonl.gz --out fr079.ubbmap --png fr079.png"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -40,7 +46,11 @@ enum Command {
     Map(map::Map),
     Check(check::Check),
     Store(store::Store),
+    Token(token::Token),
     Experiment(Box<experiment::RunExperiment>),
+    Health(health::Health),
+    Completions(shell::Completions),
+    Man(shell::Man),
 }
 
 /// Parses the arguments, runs the command and returns its exit code: 0 done, 1 failed, 2 bad usage, 64 bad configuration.
@@ -62,7 +72,11 @@ pub fn run() -> ExitCode {
         Command::Map(map) => map.run(),
         Command::Check(check) => check.run(),
         Command::Store(store) => store.run(),
+        Command::Token(token) => token.run(),
         Command::Experiment(experiment) => experiment.run(),
+        Command::Health(health) => health.run(),
+        Command::Completions(completions) => completions.run(),
+        Command::Man(man) => man.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

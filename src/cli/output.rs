@@ -115,12 +115,49 @@ pub(super) fn write_whole(
     written
 }
 
+/// Writes a file that only its owner may read, as a whole: beside its place, and then moved there. A file that is there keeps
+/// its owner and permissions, so that a server that runs as another user goes on reading it.
+pub(super) fn write_private(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let there = std::fs::metadata(path).ok();
+    write_whole(path, |out| {
+        be_like(out.get_ref(), there.as_ref())?;
+        Ok(out.write_all(bytes)?)
+    })
+    .map(drop)
+}
+
+#[cfg(unix)]
+fn be_like(file: &File, there: Option<&std::fs::Metadata>) -> anyhow::Result<()> {
+    use std::os::unix::fs::{MetadataExt, PermissionsExt, fchown};
+    let Some(there) = there else { return Ok(file.set_permissions(std::fs::Permissions::from_mode(0o600))?) };
+    let made = file.metadata()?;
+    if (made.uid(), made.gid()) != (there.uid(), there.gid()) {
+        fchown(file, Some(there.uid()), Some(there.gid()))
+            .with_context(|| format!("it belongs to user {}, and you may not keep that so", there.uid()))?;
+    }
+    Ok(file.set_permissions(there.permissions())?)
+}
+
+#[cfg(not(unix))]
+fn be_like(file: &File, there: Option<&std::fs::Metadata>) -> anyhow::Result<()> {
+    there.map_or(Ok(()), |there| Ok(file.set_permissions(there.permissions())?))
+}
+
 /// Seconds since the Unix epoch as a time of RFC 3339; as the number where it is none of our calendar.
 pub(super) fn time_text(seconds: f64) -> String {
     let since = Duration::try_from_secs_f64(seconds).ok().filter(|since| since.as_secs() < FAR_FUTURE);
     match since.and_then(|since| SystemTime::UNIX_EPOCH.checked_add(since)) {
         Some(time) => humantime::format_rfc3339_seconds(time).to_string(),
         None => format!("{seconds} s since 1970"),
+    }
+}
+
+/// How many a second, or a minute where that is less than one.
+pub(super) fn rate_text(per_second: f64) -> String {
+    match per_second {
+        slow if slow < 1.0 => format!("{:.1}/min", 60.0 * slow),
+        rate if rate < 10.0 => format!("{rate:.1}/s"),
+        rate => format!("{rate:.0}/s"),
     }
 }
 
@@ -153,18 +190,18 @@ impl Progress {
         let seconds = self.started.elapsed().as_secs_f64();
         if !self.bar.is_hidden() {
             self.bar.set_position(position);
-            self.bar.set_message(format!("{done} {}, {:.0}/s", self.what, done as f64 / seconds.max(1e-3)));
+            self.bar.set_message(format!("{done} {}, {}", self.what, rate_text(done as f64 / seconds.max(1e-3))));
         }
         if self.lines && self.told.elapsed() >= LINE_EVERY {
             self.told = Instant::now();
             let share = if self.total == 0 { 1.0 } else { (position as f64 / self.total as f64).min(1.0) };
-            let left = if share > 0.0 { seconds * (1.0 - share) / share } else { 0.0 };
-            note(&format!(
-                "{done} {}, {:.0} %, {:.0}/s, about {left:.0} s left",
-                self.what,
-                100.0 * share,
-                done as f64 / seconds
-            ));
+            let left = if share > 0.0 {
+                format!(", about {:.0} s left", seconds * (1.0 - share) / share)
+            } else {
+                String::new()
+            };
+            let rate = rate_text(done as f64 / seconds.max(1e-3));
+            note(&format!("{done} {}, {:.0} %, {rate}{left}", self.what, 100.0 * share));
         }
     }
 

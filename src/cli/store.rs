@@ -11,7 +11,7 @@ use std::time::Duration;
 /// Checks and rewrites a data directory that no server has open.
 #[derive(Debug, Args)]
 #[command(arg_required_else_help = true)]
-#[command(after_help = "Example:\n  ubbmap store verify --data /var/lib/ubbmap")]
+#[command(after_help = "Example:\n  ubbmap store verify --data maps")]
 pub(super) struct Store {
     #[command(subcommand)]
     action: Action,
@@ -23,14 +23,14 @@ enum Action {
     #[command(
         after_help = "The directory is opened as a server opens it: an older format is brought to that of this program, \
         and what an interrupted deletion or rewrite left is removed. Where damage is suspected, verify a copy.\n\n\
-        Example:\n  ubbmap store verify --data /var/lib/ubbmap --json"
+        Example:\n  ubbmap store verify --data maps --json"
     )]
     Verify(OfDirectory),
     /// Rewrites the database, so that it takes no more room than what it holds needs
     #[command(
         after_help = "A server does this by itself, while it serves, when its database has grown beyond `rewrite.factor` \
         times what it holds. The old database stays until the new one is whole: there must be room for both.\n\n\
-        Example:\n  ubbmap store rewrite --data /var/lib/ubbmap"
+        Example:\n  ubbmap store rewrite --data maps"
     )]
     Rewrite(OfDirectory),
 }
@@ -59,6 +59,15 @@ impl Store {
 }
 
 impl OfDirectory {
+    /// Prints an error as JSON too, where that is asked for: a program that reads it finds an object in every case.
+    fn told(&self, error: StoreError) -> Failure {
+        if self.json {
+            // The exit code tells of the failure, whoever reads the object.
+            let _ = say_json(&json!({ "directory": self.data.display().to_string(), "error": error.to_string() }));
+        }
+        error.into()
+    }
+
     /// Opens the store that is there; none is made.
     fn open(&self) -> Result<SledStore, StoreError> {
         if !SledStore::is_in(&self.data)? {
@@ -74,15 +83,16 @@ impl OfDirectory {
         let (found, disk_bytes) = match self.open() {
             Ok(store) => {
                 let mut progress = Progress::new(2 * store.about_records(), "records read", self.quiet);
-                let found = store.verify_with(&mut |records| progress.update(records, records))?;
+                let found = store.verify_with(&mut |records| progress.update(records, records));
                 progress.finish();
-                (found, store.disk_bytes()?)
+                let found = found.map_err(|error| self.told(error))?;
+                (found, store.disk_bytes().map_err(|error| self.told(error))?)
             }
             // Damage that keeps it from opening is what was asked for as well.
             Err(error @ StoreError::Damaged { .. }) => {
                 (Verification { problems: vec![error.to_string()], ..Verification::default() }, 0)
             }
-            Err(error) => return Err(error.into()),
+            Err(error) => return Err(self.told(error)),
         };
         let Verification { maps, records, bytes, problems } = &found;
         if self.json {
@@ -109,7 +119,7 @@ impl OfDirectory {
     }
 
     fn rewrite(&self) -> Result<(), Failure> {
-        let store = self.open()?;
+        let store = self.open().map_err(|error| self.told(error))?;
         // Each is copied and then compared.
         let total = store.about_records();
         let mut progress = Progress::new(2 * total, "records copied or compared", self.quiet);
@@ -120,8 +130,9 @@ impl OfDirectory {
                 _ => {}
             }
             Ok(())
-        })?;
+        });
         progress.finish();
+        let done = done.map_err(|error| self.told(error))?;
         drop(store);
         if self.json {
             return say_json(&json!({

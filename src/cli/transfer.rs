@@ -2,7 +2,7 @@
 
 use super::client::{Answer, Client, ClientError, ServerOptions, map_name, snapshot_name};
 use super::output::{Failure, Progress, say, say_json, write_whole};
-use crate::store::{MapName, SnapshotName};
+use crate::store::{MAP_FILE_MAGIC, MapName, SnapshotName};
 use crate::wire::v1;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -13,6 +13,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use thiserror::Error;
 use ureq::SendBody;
 
 /// Longest time for one file. The server has a limit of its own.
@@ -128,7 +129,7 @@ impl Export {
         };
         if self.json {
             return say_json(
-                &json!({ "map": self.map.as_str(), "revision": revision, "bytes": bytes, "out": self.out }),
+                &json!({ "map": self.map.as_str(), "revision": revision.to_string(), "bytes": bytes, "out": self.out }),
             );
         }
         say(&format!("map '{}', revision {revision}, written to {}: {bytes} bytes", self.map, self.out.display()))
@@ -156,10 +157,17 @@ impl Export {
         let mut body = answer.into_body().into_with_config().limit(MAX_FILE_BYTES).reader();
         let moved = move_all(&mut body, out, |moved| progress.update(moved, moved));
         progress.finish();
-        let moved = moved.context("the file broke off")?;
+        let moved = moved.map_err(|error| match error {
+            MoveError::Read(source) => {
+                anyhow::Error::new(source).context(format!("{} broke off in the middle of the file", client.server()))
+            }
+            MoveError::Write(source) => {
+                anyhow::Error::new(source).context(format!("cannot write {}", self.out.display()))
+            }
+        })?;
         match total {
             Some(total) if total != moved => {
-                Err(anyhow::anyhow!("the file broke off after {moved} of {total} bytes").into())
+                Err(anyhow::anyhow!("{} broke off after {moved} of {total} bytes", client.server()).into())
             }
             _ => Ok(revision),
         }
@@ -169,9 +177,7 @@ impl Export {
 impl Import {
     /// Runs the command.
     pub(super) fn run(&self) -> Result<(), Failure> {
-        let shown = || format!("cannot read {}", self.file.display());
-        let mut file = File::open(&self.file).with_context(shown)?;
-        let total = file.seek(io::SeekFrom::End(0)).and_then(|end| file.rewind().map(|()| end)).with_context(shown)?;
+        let (file, total) = open_map_file(&self.file)?;
         let client = Client::new(&self.server)?;
         // A name that is taken is told before the file is sent.
         match client.map(&self.map) {
@@ -180,9 +186,14 @@ impl Import {
             Ok(_) => return Err(anyhow::anyhow!("there is a map '{}' already (MAP_EXISTS)", self.map).into()),
         }
         let progress = RefCell::new(Progress::new(total, "bytes", self.json));
-        let mut counted = Counted { file, moved: 0, tell: |moved| progress.borrow_mut().update(moved, moved) };
+        let tell = |moved| progress.borrow_mut().update(moved, moved);
+        let mut counted = Counted { file: file.take(total), moved: 0, tell, failed: None };
         let imported = client.upload(&format!("/v1/maps/{}/import", self.map), &mut counted, total);
+        let failed = counted.failed.take();
         progress.into_inner().finish();
+        if let Some(failed) = failed {
+            return Err(anyhow::Error::new(failed).context(format!("cannot read {}", self.file.display())).into());
+        }
         let imported = imported.map_err(|error| Failure::Failed(error.into()))?;
         if self.json {
             return say_json(&imported);
@@ -220,16 +231,40 @@ impl Client {
     }
 }
 
-/// A file that tells how much of it was read.
+/// Opens a map file, and sees that it is one before anything is sent.
+fn open_map_file(path: &Path) -> anyhow::Result<(File, u64)> {
+    let shown = || format!("cannot read {}", path.display());
+    // Before it is opened: that of a pipe waits for its other end.
+    let there = std::fs::metadata(path).with_context(shown)?;
+    anyhow::ensure!(!there.is_dir(), "{} is a folder, no map file", path.display());
+    anyhow::ensure!(there.is_file(), "{} is no regular file", path.display());
+    let mut file = File::open(path).with_context(shown)?;
+    let mut head = Vec::new();
+    (&mut file).take(MAP_FILE_MAGIC.len() as u64).read_to_end(&mut head).with_context(shown)?;
+    anyhow::ensure!(
+        head == MAP_FILE_MAGIC,
+        "{} is no map file: it does not begin as those of `ubbmap map export` and `ubbmap build` do",
+        path.display()
+    );
+    file.rewind().with_context(shown)?;
+    Ok((file, there.len()))
+}
+
+/// A file that tells how much of it was read, and keeps what failed: the connection is not to blame for it.
 struct Counted<F: FnMut(u64)> {
-    file: File,
+    file: io::Take<File>,
     moved: u64,
     tell: F,
+    failed: Option<io::Error>,
 }
 
 impl<F: FnMut(u64)> Read for Counted<F> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.file.read(buffer)?;
+        let count = self.file.read(buffer).map_err(|error| {
+            let kind = error.kind();
+            self.failed = Some(error);
+            io::Error::from(kind)
+        })?;
         self.moved += count as u64;
         (self.tell)(self.moved);
         Ok(count)
@@ -240,7 +275,16 @@ fn word(value: &impl ValueEnum) -> String {
     value.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
 }
 
-fn move_all(from: &mut impl Read, to: &mut impl Write, mut tell: impl FnMut(u64)) -> io::Result<u64> {
+/// Which end of a move has failed.
+#[derive(Debug, Error)]
+enum MoveError {
+    #[error("reading: {0}")]
+    Read(io::Error),
+    #[error("writing: {0}")]
+    Write(io::Error),
+}
+
+fn move_all(from: &mut impl Read, to: &mut impl Write, mut tell: impl FnMut(u64)) -> Result<u64, MoveError> {
     let mut piece = vec![0; PIECE];
     let mut moved = 0;
     loop {
@@ -248,9 +292,9 @@ fn move_all(from: &mut impl Read, to: &mut impl Write, mut tell: impl FnMut(u64)
             Ok(0) => return Ok(moved),
             Ok(count) => count,
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(error) => return Err(error),
+            Err(error) => return Err(MoveError::Read(error)),
         };
-        to.write_all(&piece[..count])?;
+        to.write_all(&piece[..count]).map_err(MoveError::Write)?;
         moved += count as u64;
         tell(moved);
     }

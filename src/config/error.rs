@@ -1,5 +1,6 @@
 //! Why a configuration is refused.
 
+use crate::transport::access::RollError;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use thiserror::Error;
@@ -44,7 +45,11 @@ pub enum ConfigError {
     /// An address beyond loopback, and nothing that keeps strangers out.
     #[error(
         "listening on {0} would let anyone who reaches it read and change every map: listen on a loopback address such \
-         as 127.0.0.1, or say --insecure (setting `insecure = true`) if the network itself is trusted"
+         as 127.0.0.1, say who may come in (`ubbmap token create --file F`, setting `access.tokens = \"F\"`), ask for certificates (setting `tls.client_auth = \"required\"`), or say --insecure \
+         (setting `insecure = true`) if the network itself is trusted"
     )]
     NotLoopback(SocketAddr),
+    /// The file of tokens.
+    #[error("setting `access.tokens`: {0}")]
+    Tokens(RollError),
 }

@@ -2,12 +2,22 @@
 
 use super::{Config, ConfigError};
 use config::{File, FileFormat, Map, Source, Value, ValueKind};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Variables of the environment that begin with the prefix and belong to other parts of the program; `UBBMAP_DATA` is where
 /// tests find recorded logs, `UBBMAP_VIEWER` a switch of the build.
-const OTHER_VARIABLES: [&str; 5] = ["UBBMAP_CONFIG", "UBBMAP_DATA", "UBBMAP_SERVER", "UBBMAP_TOKEN", "UBBMAP_VIEWER"];
+const OTHER_VARIABLES: [&str; 9] = [
+    "UBBMAP_CA",
+    "UBBMAP_CERT",
+    "UBBMAP_CONFIG",
+    "UBBMAP_DATA",
+    "UBBMAP_KEY",
+    "UBBMAP_SERVER",
+    "UBBMAP_TOKEN",
+    "UBBMAP_TOKEN_FILE",
+    "UBBMAP_VIEWER",
+];
 
 /// What variables of the environment begin with.
 const PREFIX: &str = "UBBMAP_";
@@ -34,6 +44,10 @@ const MOST_THREADS: usize = 1024;
 /// Names farther away than this share of their letters are not offered.
 const LEAST_SIMILARITY: f64 = 0.7;
 
+/// Where settings were given, by their keys: a file's path, a variable of the environment, or the command line. Those that
+/// are not named are at their defaults.
+pub type Origins = BTreeMap<String, String>;
+
 impl Config {
     /// Reads the settings. `env` is the process's environment (variables that do not begin with `UBBMAP_` are passed
     /// over; `__` separates a table from its key); `overrides` are flags as `(key, value)`, such as
@@ -46,12 +60,26 @@ impl Config {
         env: impl IntoIterator<Item = (String, String)>,
         overrides: &[(&str, String)],
     ) -> Result<Self, ConfigError> {
+        Ok(Self::load_with_origins(file, env, overrides)?.0)
+    }
+
+    /// The same, and where each setting that is not at its default was given.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_with_origins(
+        file: Option<&Path>,
+        env: impl IntoIterator<Item = (String, String)>,
+        overrides: &[(&str, String)],
+    ) -> Result<(Self, Origins), ConfigError> {
         let known = known_keys()?;
+        let mut origins = Origins::new();
         let mut builder = config::Config::builder();
         if let Some(path) = file {
             let values = read_file(path)?;
             for key in flatten(&values) {
                 check_key(&known, &key, || format!("in {}", path.display()))?;
+                origins.insert(key, path.display().to_string());
             }
             builder = builder.add_source(Layer(values));
         }
@@ -63,15 +91,17 @@ impl Config {
             let key = name.to_lowercase().replace("__", ".");
             check_key(&known, &key, || format!("in the environment ({variable})"))?;
             builder = set(builder, &key, value)?;
+            origins.insert(key, variable);
         }
         for (key, value) in overrides {
             check_key(&known, key, || "on the command line".to_owned())?;
+            origins.insert((*key).to_owned(), "the command line".to_owned());
             builder = set(builder, key, value.clone())?;
         }
         let loaded: Self =
             builder.build().and_then(config::Config::try_deserialize).map_err(|error| value_error(&error))?;
         loaded.check()?;
-        Ok(loaded)
+        Ok((loaded, origins))
     }
 
     /// Checks the values against each other and their ranges.
@@ -101,11 +131,11 @@ impl Config {
         if let Err(problem) = crate::telemetry::check_filter(&self.log) {
             return Err(bad("log", problem));
         }
-        self.zenoh.check(self.insecure)?;
-        if !self.listen.ip().to_canonical().is_loopback() && !self.insecure {
-            return Err(ConfigError::NotLoopback(self.listen));
-        }
-        Ok(())
+        self.telemetry.check()?;
+        self.tls.check()?;
+        let client_auth = (!self.tls.cert.is_empty()).then_some(self.tls.client_auth);
+        self.zenoh.check(self.insecure, client_auth)?;
+        self.check_access()
     }
 }
 
@@ -154,6 +184,7 @@ impl Config {
         let bytes = (limits.insert_bytes, limits.body_bytes, MOST_BYTES);
         let threads = (self.writer.evidence_threads, 0, MOST_THREADS);
         let blocks = (self.cache.block_bytes, LEAST_CACHE, MOST_BYTES);
+        let snapshots = (self.cache.snapshot_bytes, 0, MOST_BYTES);
         let pages = (usize::try_from(self.cache.page_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let rewritten = (usize::try_from(self.rewrite.least_bytes).unwrap_or(usize::MAX), LEAST_CACHE, MOST_BYTES);
         let ranges = counts.into_iter().map(|(key, value)| (key, (value, 1, MOST_COUNT)));
@@ -161,6 +192,7 @@ impl Config {
             ("limits.insert_bytes", bytes),
             ("writer.evidence_threads", threads),
             ("cache.block_bytes", blocks),
+            ("cache.snapshot_bytes", snapshots),
             ("cache.page_bytes", pages),
             ("rewrite.least_bytes", rewritten),
         ];

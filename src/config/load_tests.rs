@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::{Config, ConfigError, LogFormat, StoreKind};
+use crate::transport::tls::ClientAuth;
 use std::io::Write;
 use std::path::Path;
 
@@ -53,6 +54,10 @@ fn every_setting_of_the_file_is_read() {
     let lines: Vec<_> = text.lines().collect();
     for (at, line) in lines.iter().enumerate() {
         let Some((key, value)) = line.split_once(" = ").filter(|_| !line.starts_with('#')) else { continue };
+        if ["cert", "key", "client_ca", "client_auth"].contains(&key) {
+            // One alone is refused: the next test has them together.
+            continue;
+        }
         let other = match value {
             "\"127.0.0.1:8080\"" => "\"127.0.0.1:9\"",
             "\"ubbmap-data\"" => "\"elsewhere\"",
@@ -74,6 +79,21 @@ fn every_setting_of_the_file_is_read() {
         changed[at] = format!("{key} = {other}");
         assert_ne!(load(&changed.join("\n"), &[], &[]).unwrap(), Config::default(), "{key}");
     }
+}
+
+#[test]
+fn every_setting_of_tls_is_read() {
+    let table = |cert: &str, key: &str, ca: &str, auth: &str| {
+        let text = format!("[tls]\ncert = {cert:?}\nkey = {key:?}\nclient_ca = {ca:?}\nclient_auth = {auth:?}");
+        load(&text, &[], &[]).unwrap().tls_settings().unwrap()
+    };
+    let usual = table("a", "b", "c", "required");
+    assert_eq!((usual.cert.to_str(), usual.key.to_str()), (Some("a"), Some("b")));
+    assert_eq!((usual.client_ca.as_deref(), usual.client_auth), (Some(Path::new("c")), ClientAuth::Required));
+    assert_eq!(table("a", "b", "c", "optional").client_auth, ClientAuth::Optional);
+    let off = table("a", "b", "", "off");
+    assert_eq!((off.client_ca, off.client_auth), (None, ClientAuth::Off));
+    assert!(Config::default().tls_settings().is_none());
 }
 
 #[test]
@@ -167,13 +187,40 @@ fn an_address_beyond_loopback_needs_a_word() {
     }
 }
 
+const CERTIFICATE: &str = "\n[tls]\ncert = \"a\"\nkey = \"b\"\n";
+
+#[test]
+fn zenoh_opens_beyond_loopback_to_users_and_to_certificates_that_are_required() {
+    let zenoh = |more: &str| format!("[zenoh]\nmode = \"router\"\n{more}\n");
+    let open = |text: &str| load(text, &[], &[]);
+    assert!(open(&zenoh("listen = \"tcp/0.0.0.0:7447\"\nusers = \"u\"")).is_ok());
+    let tls = zenoh("listen = \"tls/0.0.0.0:7447\"") + CERTIFICATE;
+    assert!(open(&tls).is_err());
+    assert!(open(&(tls.clone() + "client_ca = \"c\"\nclient_auth = \"optional\"")).is_err());
+    let required = open(&(tls + "client_ca = \"c\"\nclient_auth = \"required\"")).unwrap();
+    let files = required.zenoh_settings().unwrap().tls.unwrap();
+    assert_eq!((files.cert.as_path(), files.client_ca.as_deref()), (Path::new("a"), Some(Path::new("c"))));
+    // One endpoint that asks for nothing is enough to be refused.
+    let both = zenoh("listen = \"tls/0.0.0.0:7447,tcp/0.0.0.0:7448\"") + CERTIFICATE;
+    let problem = open(&(both + "client_ca = \"c\"\nclient_auth = \"required\"")).unwrap_err().to_string();
+    assert!(problem.contains("tcp/0.0.0.0:7448") && problem.contains("zenoh.users"), "{problem}");
+    for (more, key, words) in [
+        ("listen = \"tls/127.0.0.1:7447\"", "zenoh.listen", "tls.cert"),
+        ("users = \"u\"\nfile = \"f\"", "zenoh.users", "leave one out"),
+        ("users = \"u\"\nconnect = \"tcp/127.0.0.1:1\"", "zenoh.users", "zenoh.file"),
+    ] {
+        let problem = open(&zenoh(more)).unwrap_err().to_string();
+        assert!(problem.contains(&format!("`{key}`")) && problem.contains(words), "{problem}");
+    }
+}
+
 #[test]
 fn zenoh_beyond_loopback_needs_a_word_or_a_file_of_its_own() {
     for endpoint in
         ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tls/router.example:7447", "tcp/10.0.0.1:7447#iface=eth0", "x"]
     {
         for setting in ["listen", "connect"] {
-            let text = format!("[zenoh]\nmode = \"peer\"\n{setting} = \"tcp/127.0.0.1:1, {endpoint}\"");
+            let text = format!("[zenoh]\nmode = \"peer\"\n{setting} = \"tcp/127.0.0.1:1, {endpoint}\"{CERTIFICATE}");
             let refused = load(&text, &[], &[]).unwrap_err().to_string();
             assert!(refused.contains(&format!("`zenoh.{setting}`")) && refused.contains("--insecure"), "{refused}");
             assert!(load(&text, &[], &[("insecure", "true")]).is_ok());
@@ -181,7 +228,8 @@ fn zenoh_beyond_loopback_needs_a_word_or_a_file_of_its_own() {
         }
     }
     for endpoint in ["tcp/127.0.0.1:0", "tcp/[::1]:7447", "tls/localhost:7447?x=1"] {
-        let config = load(&format!("[zenoh]\nmode = \"router\"\nlisten = \"{endpoint}\""), &[], &[]).unwrap();
+        let config =
+            load(&format!("[zenoh]\nmode = \"router\"\nlisten = \"{endpoint}\"{CERTIFICATE}"), &[], &[]).unwrap();
         assert_eq!(config.zenoh_settings().unwrap().listen, [endpoint]);
     }
     assert!(Config::default().zenoh_settings().is_none());

@@ -2,10 +2,13 @@
 //!
 //! Everything is read and checked before a port is bound. An unknown key is an error that names the nearest known one.
 
+mod access;
 mod error;
 mod load;
 #[cfg(test)]
 mod load_tests;
+mod telemetry;
+mod tls;
 mod zenoh;
 
 use crate::mapping::RegionLimits;
@@ -17,7 +20,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+pub use access::Access;
 pub use error::ConfigError;
+pub use load::Origins;
+pub use telemetry::Telemetry;
+pub use tls::{ClientCertificates, Tls};
 pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
@@ -46,6 +53,8 @@ pub enum LogFormat {
 pub struct Config {
     /// Address to listen on.
     pub listen: SocketAddr,
+    /// Address for administration and metrics; empty where `listen` has them too.
+    pub admin_listen: String,
     /// Allow an address beyond loopback without tokens.
     pub insecure: bool,
     /// Directory of the store.
@@ -56,6 +65,8 @@ pub struct Config {
     pub log: String,
     /// Form of the log lines.
     pub log_format: LogFormat,
+    /// Who may come in.
+    pub access: Access,
     /// Limits on what comes from outside.
     pub limits: Limits,
     /// Memory for maps.
@@ -64,8 +75,12 @@ pub struct Config {
     pub rewrite: Rewrite,
     /// One map's writer.
     pub writer: Writer,
+    /// TLS of the listener.
+    pub tls: Tls,
     /// The transport over Zenoh.
     pub zenoh: Zenoh,
+    /// Traces of requests.
+    pub telemetry: Telemetry,
     /// The end of the server.
     pub shutdown: Shutdown,
 }
@@ -132,6 +147,8 @@ pub struct Limits {
 pub struct Cache {
     /// Most bytes of blocks in memory, all maps together.
     pub block_bytes: usize,
+    /// Most bytes of snapshots in memory for those who ask them.
+    pub snapshot_bytes: usize,
     /// Bytes of the store's own cache of pages.
     pub page_bytes: u64,
 }
@@ -174,16 +191,20 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 8080)),
+            admin_listen: String::new(),
             insecure: false,
             data_dir: PathBuf::from("ubbmap-data"),
             store: StoreKind::Sled,
             log: "info".to_owned(),
             log_format: LogFormat::Text,
+            access: Access::default(),
             limits: Limits::default(),
             cache: Cache::default(),
             rewrite: Rewrite::default(),
             writer: Writer::default(),
+            tls: Tls::default(),
             zenoh: Zenoh::default(),
+            telemetry: Telemetry::default(),
             shutdown: Shutdown::default(),
         }
     }
@@ -223,7 +244,7 @@ impl Default for Limits {
 
 impl Default for Cache {
     fn default() -> Self {
-        Self { block_bytes: 1 << 30, page_bytes: SledOptions::default().cache_bytes }
+        Self { block_bytes: 1 << 30, snapshot_bytes: 256 << 20, page_bytes: SledOptions::default().cache_bytes }
     }
 }
 
@@ -272,6 +293,7 @@ impl Config {
             max_changes: self.writer.changes,
             max_bytes_in_flight: limits.insert_bytes,
             cache_bytes: self.cache.block_bytes,
+            snapshot_cache_bytes: self.cache.snapshot_bytes,
             max_concurrent_queries: limits.queries,
             evidence_threads: self.writer.evidence_threads,
         }

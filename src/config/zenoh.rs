@@ -1,10 +1,11 @@
 //! Settings of the transport over Zenoh.
 
+use super::tls::ClientCertificates;
 use super::{Config, ConfigError};
-use crate::transport::zenoh::{Mode, ZenohSettings};
+use crate::transport::zenoh::{Mode, User, ZenohSettings, ZenohTls, read_users};
 use serde::{Deserialize, Serialize};
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What part the server takes in a network of Zenoh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,6 +33,8 @@ pub struct Zenoh {
     pub connect: String,
     /// What all keys begin with.
     pub prefix: String,
+    /// Who may connect, by user and password; empty for whoever reaches the endpoint.
+    pub users: String,
     /// A file of Zenoh's own settings; empty for none.
     pub file: String,
     /// Queries that may wait; likewise insertions, and best-effort scans.
@@ -47,6 +50,7 @@ impl Default for Zenoh {
             listen: "tcp/127.0.0.1:7447".to_owned(),
             connect: String::new(),
             prefix: "ubbmap".to_owned(),
+            users: String::new(),
             file: String::new(),
             queue: 1024,
             in_flight: 256,
@@ -83,23 +87,12 @@ impl Zenoh {
     ///
     /// # Errors
     /// [`ConfigError::Value`] at the setting.
-    pub(super) fn check(&self, insecure: bool) -> Result<(), ConfigError> {
-        let bad = |key: &str, problem: String| Err(ConfigError::Value { key: format!("zenoh.{key}"), problem });
+    pub(super) fn check(&self, insecure: bool, client_auth: Option<ClientCertificates>) -> Result<(), ConfigError> {
         if !is_prefix(&self.prefix) {
             return bad("prefix", format!("must be a key without wildcards such as \"ubbmap\", got {:?}", self.prefix));
         }
         if self.mode == ZenohMode::Off {
             return Ok(());
-        }
-        for (key, list) in [("listen", &self.listen), ("connect", &self.connect)] {
-            let open = endpoints(list).into_iter().find(|endpoint| !is_loopback(endpoint));
-            if let Some(open) = open.filter(|_| !insecure && self.file.is_empty()) {
-                let problem = format!(
-                    "{open} would let anyone on that network read and change every map: use a loopback address, name a \
-                     file of Zenoh's settings with its access control (zenoh.file), or say --insecure"
-                );
-                return bad(key, problem);
-            }
         }
         let needed = match self.mode {
             ZenohMode::Client => ("connect", &self.connect),
@@ -108,12 +101,66 @@ impl Zenoh {
         if endpoints(needed.1).is_empty() {
             return bad(needed.0, "names no endpoint, such as tcp/127.0.0.1:7447".to_owned());
         }
+        self.check_users()?;
+        if !self.file.is_empty() || insecure {
+            return self.check_tls(client_auth);
+        }
+        let open = |list: &str| endpoints(list).into_iter().find(|endpoint| !is_loopback(endpoint));
+        if let Some(open) = open(&self.connect) {
+            let problem = format!(
+                "{open} would let anyone on that network read and change every map: use a loopback address, name a file \
+                 of Zenoh's settings with the server's own credentials (zenoh.file), or say --insecure"
+            );
+            return bad("connect", problem);
+        }
+        let required = client_auth == Some(ClientCertificates::Required);
+        let unguarded = endpoints(&self.listen).into_iter().find(|endpoint| {
+            !is_loopback(endpoint) && self.users.is_empty() && !(required && endpoint.starts_with("tls/"))
+        });
+        if let Some(open) = unguarded.filter(|_| self.mode != ZenohMode::Client) {
+            let problem = format!(
+                "{open} would let anyone on that network read and change every map: use a loopback address, say who may \
+                 connect (zenoh.users, or tls/ with tls.client_auth = \"required\"), name a file of Zenoh's settings with \
+                 its access control (zenoh.file), or say --insecure"
+            );
+            return bad("listen", problem);
+        }
+        self.check_tls(client_auth)
+    }
+
+    /// Users are for those who connect to a router of our own, and for nothing else.
+    fn check_users(&self) -> Result<(), ConfigError> {
+        if self.users.is_empty() {
+            return Ok(());
+        }
+        if !self.file.is_empty() {
+            return bad("users", "and zenoh.file both say who may connect: leave one out".to_owned());
+        }
+        if self.mode == ZenohMode::Client || !endpoints(&self.connect).is_empty() {
+            let problem = "are for those who connect to this server: with zenoh.connect, who may do what is the affair of \
+                           the router there, and zenoh.file has the server's own credentials for it";
+            return bad("users", problem.to_owned());
+        }
         Ok(())
+    }
+
+    /// Endpoints that speak TLS need a certificate.
+    fn check_tls(&self, client_auth: Option<ClientCertificates>) -> Result<(), ConfigError> {
+        let tls = endpoints(&self.listen).into_iter().find(|endpoint| endpoint.starts_with("tls/"));
+        match tls.filter(|_| self.mode != ZenohMode::Client && self.file.is_empty() && client_auth.is_none()) {
+            Some(endpoint) => bad("listen", format!("{endpoint} speaks TLS and needs tls.cert and tls.key")),
+            None => Ok(()),
+        }
     }
 }
 
+/// A refusal at a setting of this section.
+fn bad(key: &str, problem: String) -> Result<(), ConfigError> {
+    Err(ConfigError::Value { key: format!("zenoh.{key}"), problem })
+}
+
 impl Config {
-    /// The part that the transport over Zenoh takes; `None` where it is off.
+    /// The part that the transport over Zenoh takes; `None` where it is off. Who may connect is in files and not read here.
     #[must_use]
     pub fn zenoh_settings(&self) -> Option<ZenohSettings> {
         let zenoh = &self.zenoh;
@@ -129,9 +176,38 @@ impl Config {
             connect: endpoints(&zenoh.connect),
             prefix: zenoh.prefix.clone(),
             file: (!zenoh.file.is_empty()).then(|| PathBuf::from(&zenoh.file)),
+            tls: self.zenoh_tls(),
+            users: Vec::new(),
+            certificates: None,
             message_bytes: self.limits.body_bytes,
             queue: zenoh.queue,
             in_flight: zenoh.in_flight,
         })
+    }
+
+    /// The certificate of [`super::Tls`] for Zenoh's endpoints that speak TLS.
+    fn zenoh_tls(&self) -> Option<ZenohTls> {
+        let zenoh = &self.zenoh;
+        let speaks = zenoh.mode != ZenohMode::Client && endpoints(&zenoh.listen).iter().any(|e| e.starts_with("tls/"));
+        let tls = self.tls_settings().filter(|_| speaks && zenoh.file.is_empty())?;
+        // Zenoh asks for a certificate and means it, or asks for none.
+        let required = self.tls.client_auth == ClientCertificates::Required;
+        Some(ZenohTls { cert: tls.cert, key: tls.key, client_ca: tls.client_ca.filter(|_| required) })
+    }
+
+    /// The file of who may connect, where there is one and Zenoh is on.
+    #[must_use]
+    pub fn zenoh_users_file(&self) -> Option<&Path> {
+        let used = self.zenoh.mode != ZenohMode::Off && !self.zenoh.users.is_empty();
+        used.then(|| Path::new(&self.zenoh.users))
+    }
+
+    /// Reads who may connect. Blocks.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] at `zenoh.users`.
+    pub fn zenoh_users(&self) -> Result<Vec<User>, ConfigError> {
+        let Some(path) = self.zenoh_users_file() else { return Ok(Vec::new()) };
+        read_users(path).map_err(|problem| ConfigError::Value { key: "zenoh.users".to_owned(), problem })
     }
 }

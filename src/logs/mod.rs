@@ -1,19 +1,23 @@
 //! Floor 6: readers of recorded laser logs.
 //!
-//! A [`LogReader`] is an iterator over the scans of a log, read line by line, so a log may be larger than memory.
-//! Two formats, told apart by their first character, each plain or gzip, told apart by the magic bytes:
+//! A [`LogReader`] is an iterator over the scans of a log, read one after the other, so a log may be larger than memory.
+//! Two formats of text, told apart by their first character, each plain or gzip, told apart by the magic bytes:
 //!
 //! - JSON lines: a header object, then one object a scan (`{"t", "x", "y", "theta", "ranges"}` or with a `pose` box);
-//! - CARMEN: `FLASER` and `ROBOTLASER1` messages; other messages are skipped.
+//! - CARMEN: `FLASER` and `ROBOTLASER1` messages; other messages are skipped;
 //!
-//! The first damage ends the iteration: it comes as the last item, an error that names the line.
+//! and ROS 2 bags (MCAP, SQLite, a folder of either), of which the poses are held in memory.
+//!
+//! The first damage ends the iteration: it comes as the last item, an error that names the line or the scan.
 
+mod bag;
 mod carmen;
 mod jsonl;
 mod lines;
 mod pose_error;
 
 use crate::sensor::{Angles, ScanLimits};
+use bag::Bag;
 use lines::Lines;
 use std::io::Read;
 use std::path::Path;
@@ -21,6 +25,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use thiserror::Error;
 
+pub use bag::BagOptions;
 pub use carmen::FLASER_RANGE_MAX;
 pub use pose_error::{PoseError, PoseErrorParseError, angle};
 
@@ -37,6 +42,22 @@ pub enum LogError {
         path: String,
         /// Why.
         source: std::io::Error,
+    },
+    /// A bag cannot be read, or it is not clear what is to be read of it.
+    #[error("{path}: {problem}")]
+    Bag {
+        /// The file or folder.
+        path: String,
+        /// What is wrong, what there is, and what helps.
+        problem: String,
+    },
+    /// A scan of a bag is not what its format says.
+    #[error("scan {scan}: {problem}")]
+    Scan {
+        /// The scan, from 1, or the last one before the damage.
+        scan: u64,
+        /// What is wrong with it.
+        problem: String,
     },
     /// A line is not what its format says.
     #[error("line {line}: {problem}")]
@@ -63,11 +84,12 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// The line at fault, or the last whole line before the damage; 0 when there is none.
+    /// The line or scan at fault, or the last whole one before the damage; 0 when there is none.
     #[must_use]
     pub fn line(&self) -> u64 {
         match self {
-            Self::Open { .. } => 0,
+            Self::Open { .. } | Self::Bag { .. } => 0,
+            Self::Scan { scan, .. } => *scan,
             Self::Line { line, .. } | Self::Truncated { line } | Self::Read { line, .. } => *line,
         }
     }
@@ -84,6 +106,15 @@ pub enum LogPose {
         y: f64,
         /// theta
         theta: f64,
+    },
+    /// Where the pose is if the log's poses have no error, as `(min, max)` pairs; their error is unknown to the log.
+    Near {
+        /// x
+        x: (f64, f64),
+        /// y
+        y: (f64, f64),
+        /// theta
+        theta: (f64, f64),
     },
     /// A box that holds the pose, as `(min, max)` pairs.
     Box {
@@ -104,9 +135,13 @@ impl LogPose {
     #[must_use]
     pub fn bounds(&self, error: &PoseError) -> PoseBounds {
         let widen = |v: f64, e: f64| if e > 0.0 { ((v - e).next_down(), (v + e).next_up()) } else { (v, v) };
+        let both = |(min, max): (f64, f64), e: f64| (widen(min, e).0, widen(max, e).1);
         match *self {
             Self::Point { x, y, theta } => {
                 (widen(x, error.position), widen(y, error.position), widen(theta, error.heading))
+            }
+            Self::Near { x, y, theta } => {
+                (both(x, error.position), both(y, error.position), both(theta, error.heading))
             }
             Self::Box { x, y, theta } => (x, y, theta),
         }
@@ -135,7 +170,7 @@ pub struct LogSensor {
 /// One scan of a log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LogScan {
-    /// The line it stands on, from 1.
+    /// The line it stands on, from 1; its number among the scans of a bag.
     pub line: u64,
     /// When it was taken, seconds, as the log says.
     pub stamp: f64,
@@ -158,42 +193,61 @@ enum Parser {
     Carmen(carmen::Parser),
 }
 
-/// The scans of a log, in its order. After an error the iteration is over.
-pub struct LogReader {
+/// A log of text.
+struct Text {
     lines: Lines,
     parser: Option<Parser>,
     sensor: LogSensor,
     max_beams: usize,
+    size: u64,
+}
+
+enum Source {
+    Text(Text),
+    Bag(Box<Bag>),
+}
+
+/// The scans of a log, in its order. After an error the iteration is over.
+pub struct LogReader {
+    source: Source,
     /// The first scan, read ahead for what it says of the sensor.
     first: Option<Result<LogScan, LogError>>,
     ended: bool,
 }
 
 impl LogReader {
-    /// Opens a log file and reads up to its first scan.
+    /// Opens a log and reads up to its first scan; of a bag that leaves no choice.
     ///
     /// # Errors
-    /// [`LogError::Open`] when the file cannot be opened. Damage comes as an item of the iteration.
+    /// As [`LogReader::open_with`].
     pub fn open(path: &Path, limits: ScanLimits) -> Result<Self, LogError> {
-        let error = |source| LogError::Open { path: path.display().to_string(), source };
-        let file = std::fs::File::open(path).map_err(error)?;
-        if file.metadata().map_err(error)?.is_dir() {
-            return Err(error(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
-        }
-        Ok(Self::new(file, limits))
+        Self::open_with(path, limits, &BagOptions::default())
     }
 
-    /// Reads a log from any source of bytes, up to its first scan.
+    /// Opens a log, by `options` where it is a bag, and reads up to its first scan.
+    ///
+    /// # Errors
+    /// [`LogError::Open`] when the file cannot be opened, [`LogError::Bag`] for a bag that cannot be read or leaves a choice.
+    /// Damage comes as an item of the iteration.
+    pub fn open_with(path: &Path, limits: ScanLimits, options: &BagOptions) -> Result<Self, LogError> {
+        let error = |source| LogError::Open { path: path.display().to_string(), source };
+        let metadata = std::fs::metadata(path).map_err(error)?;
+        if bag::is_bag(path) {
+            let bag = Bag::open(path, limits.max_beams, options)?;
+            return Ok(Self::of(Source::Bag(Box::new(bag))));
+        }
+        let file = std::fs::File::open(path).map_err(error)?;
+        Ok(Self::of(Source::Text(Text { size: metadata.len(), ..Text::new(file, limits) })))
+    }
+
+    /// Reads a log of text from any source of bytes, up to its first scan.
     #[must_use]
     pub fn new(source: impl Read + Send + 'static, limits: ScanLimits) -> Self {
-        let mut reader = Self {
-            lines: Lines::new(source, MAX_LINE_BYTES),
-            parser: None,
-            sensor: LogSensor::default(),
-            max_beams: limits.max_beams,
-            first: None,
-            ended: false,
-        };
+        Self::of(Source::Text(Text::new(source, limits)))
+    }
+
+    fn of(source: Source) -> Self {
+        let mut reader = Self { source, first: None, ended: false };
         reader.first = reader.read_scan();
         reader
     }
@@ -201,28 +255,107 @@ impl LogReader {
     /// What the log says of its sensor, in its header or its first scan.
     #[must_use]
     pub fn sensor(&self) -> &LogSensor {
-        &self.sensor
+        match &self.source {
+            Source::Text(text) => &text.sensor,
+            Source::Bag(bag) => &bag.sensor,
+        }
     }
 
-    /// Lines read so far.
+    /// The first scan, or what keeps it from being read; `None` for a log without scans, and once it was taken.
+    #[must_use]
+    pub fn first(&self) -> Option<Result<&LogScan, &LogError>> {
+        self.first.as_ref().map(Result::as_ref)
+    }
+
+    /// What a log without scans lacks, for people.
+    #[must_use]
+    pub fn nothing(&self) -> String {
+        match &self.source {
+            Source::Text(_) => "it has no FLASER, ROBOTLASER1 or JSON scans".to_owned(),
+            Source::Bag(bag) => match bag.left_out() {
+                (count, Some(why)) => format!("all {count} have no place: {why}; {}", bag.words),
+                _ => format!("it has no messages for them; {}", bag.words),
+            },
+        }
+    }
+
+    /// What is read of a bag that leaves choices, for people; `None` for text.
+    #[must_use]
+    pub fn chosen(&self) -> Option<&str> {
+        match &self.source {
+            Source::Text(_) => None,
+            Source::Bag(bag) => Some(&bag.words),
+        }
+    }
+
+    /// How many scans were passed over so far, since it is not known where they were taken, and for people why.
+    #[must_use]
+    pub fn left_out(&self) -> (u64, Option<String>) {
+        match &self.source {
+            Source::Text(_) => (0, None),
+            Source::Bag(bag) => bag.left_out(),
+        }
+    }
+
+    /// What [`LogScan::line`] counts: lines, or the scans of a bag.
+    #[must_use]
+    pub fn unit(&self) -> &'static str {
+        match &self.source {
+            Source::Text(_) => "line",
+            Source::Bag(_) => "scan",
+        }
+    }
+
+    /// Bytes of the log, in the count of [`LogReader::bytes_read`]; 0 where that is not known.
+    #[must_use]
+    pub fn size(&self) -> u64 {
+        match &self.source {
+            Source::Text(text) => text.size,
+            Source::Bag(bag) => bag.size,
+        }
+    }
+
+    /// Lines read so far, or scans of a bag.
     #[must_use]
     pub fn line(&self) -> u64 {
-        self.lines.number()
+        match &self.source {
+            Source::Text(text) => text.lines.number(),
+            Source::Bag(bag) => bag.number(),
+        }
     }
 
     /// A counter of the bytes taken from the source so far, compressed ones where it is: for a progress bar.
     #[must_use]
     pub fn bytes_read(&self) -> Arc<AtomicU64> {
-        self.lines.bytes_read()
+        match &self.source {
+            Source::Text(text) => text.lines.bytes_read(),
+            Source::Bag(bag) => bag.bytes_read(),
+        }
     }
 
     fn read_scan(&mut self) -> Option<Result<LogScan, LogError>> {
         if self.ended {
             return None;
         }
-        let found = self.find_scan().transpose();
+        let found = match &mut self.source {
+            Source::Text(text) => text.find_scan(),
+            Source::Bag(bag) => bag.find_scan(),
+        };
+        let found = found.transpose();
         self.ended = !matches!(found, Some(Ok(_)));
         found
+    }
+}
+
+impl Text {
+    fn new(source: impl Read + Send + 'static, limits: ScanLimits) -> Self {
+        Self {
+            lines: Lines::new(source, MAX_LINE_BYTES),
+            parser: None,
+            sensor: LogSensor::default(),
+            max_beams: limits.max_beams,
+            size: 0,
+        }
     }
 
     fn find_scan(&mut self) -> Result<Option<LogScan>, LogError> {

@@ -1,5 +1,6 @@
 //! What the service answers. Plain data, no wire types.
 
+use super::robots::RobotPose;
 use crate::mapping::{FreeAnswer, MapConfig};
 use crate::quadtree::{Class, Leaf, NodeAddress};
 use crate::store::{MapId, MapName};
@@ -166,6 +167,8 @@ pub struct ChangesQuery {
     pub area: BoxQuery,
     /// With the contents of each block.
     pub contents: bool,
+    /// With the robots whose scans were applied.
+    pub robots: bool,
 }
 
 /// What changed after one revision up to another.
@@ -181,6 +184,8 @@ pub struct Changes {
     pub depth: u8,
     /// In Z-order.
     pub blocks: Vec<BlockChange>,
+    /// Robots whose scans were applied, by name; empty where they were not asked for.
+    pub robots: Vec<RobotPose>,
 }
 
 /// A node that changed: a block of 64 x 64 leaves, or a coarser one where the depth asked for is.

@@ -137,9 +137,13 @@ impl Watch {
             let root = self.service.root_of(&self.entry).await?;
             let revision = root.published.revision;
             if !self.begun || revision != self.seen {
-                let mut changes = self.service.changes_of(&self.entry, root, self.seen, &self.query).await?;
-                self.seen = revision;
-                let quiet = changes.blocks.is_empty() && !changes.everything;
+                let seen = std::mem::replace(&mut self.seen, revision);
+                let mut changes = self.service.changes_of(&self.entry, root, seen, &self.query).await?;
+                if self.query.robots {
+                    let robots = &self.entry.robots;
+                    changes.robots = if self.begun { robots.moved(seen, revision) } else { robots.all(revision) };
+                }
+                let quiet = changes.blocks.is_empty() && changes.robots.is_empty() && !changes.everything;
                 if !self.begun || !quiet || revision.saturating_sub(self.told) >= QUIET_COMMITS {
                     changes.since = self.told;
                     self.told = revision;
@@ -168,7 +172,11 @@ impl MapService {
     pub async fn changes(&self, name: &MapName, since: u64, query: &ChangesQuery) -> Result<Changes, ServiceError> {
         let entry = self.registry.find(name)?;
         let root = self.root_of(&entry).await?;
-        self.changes_of(&entry, root, since, query).await
+        let mut changes = self.changes_of(&entry, root, since, query).await?;
+        if query.robots {
+            changes.robots = entry.robots.moved(since, changes.revision);
+        }
+        Ok(changes)
     }
 
     /// Changes after a revision (without one: those to come), as they are committed.
@@ -265,6 +273,7 @@ impl Plan {
             Ok(BlockChange { classes, ..bare((node, stamp)) })
         };
         let blocks = self.nodes.iter().flatten().copied().map(block).collect::<Result<_, QueryError>>()?;
-        Ok(Changes { revision: root.published.revision, since, everything, depth: self.depth, blocks })
+        let revision = root.published.revision;
+        Ok(Changes { revision, since, everything, depth: self.depth, blocks, robots: Vec::new() })
     }
 }

@@ -2,6 +2,7 @@
 
 use super::budget::{Budget, Reservation};
 use super::metrics;
+use super::robots::Sighting;
 use super::writer::{Job, Numbered, Published, Request, ScanEvidence};
 use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings};
 use crate::mapping::{MapConfig, Surveyor};
@@ -137,10 +138,12 @@ impl Task {
     /// Checks and computes one scan; a panic of the engine is that scan's alone.
     fn prepare(&self, index: usize, input: ScanInput) -> Prepared {
         let refused = |(code, detail): Refusal| Prepared::Refused(Rejection { index, code, detail });
-        let numbered = match numbered(&input) {
-            Ok(numbered) => numbered,
+        let robot = match robot(&input) {
+            Ok(robot) => robot,
             Err(refusal) => return refused(refusal),
         };
+        let sequence = input.sequence;
+        let numbered = robot.clone().zip(sequence).map(|(robot, sequence)| Numbered { robot, sequence });
         // What is known already needs no computing. The writer decides about all others.
         if let Some(number @ Numbered { robot, sequence }) = &numbered
             && let Some(window) = self.published.windows.get(robot)
@@ -151,6 +154,7 @@ impl Task {
                 SequenceVerdict::TooOld => return refused(too_old(*sequence, window.highest())),
             }
         }
+        let (stamp, sensor) = (input.stamp, sensor_name(&input.sensor).to_owned());
         let computed = shielded(|| self.compute(input)).unwrap_or_else(|| {
             let (robot, sequence) = numbered.as_ref().map_or(("", None), |n| (n.robot.as_str(), Some(n.sequence)));
             tracing::error!(map = %self.map, robot, sequence, index, "computing a scan's evidence panicked");
@@ -158,17 +162,20 @@ impl Task {
         });
         match computed {
             Err(refusal) => refused(refusal),
-            Ok(masks) => match self.reservation.grow(evidence_bytes(&masks)) {
-                Ok(()) => Prepared::Evidence(ScanEvidence { index, numbered, masks }),
+            Ok((masks, pose)) => match self.reservation.grow(evidence_bytes(&masks)) {
+                Ok(()) => {
+                    let sighting = robot.map(|robot| Sighting { robot, sequence, stamp, sensor, pose });
+                    Prepared::Evidence(ScanEvidence { index, numbered, sighting, masks })
+                }
                 Err(error) => Prepared::Exhausted(error),
             },
         }
     }
 
-    fn compute(&self, input: ScanInput) -> Result<LeafMasks, Refusal> {
+    fn compute(&self, input: ScanInput) -> Result<(LeafMasks, PoseBox), Refusal> {
         let scan = self.checked(input)?;
         metrics::beams_failed(scan.reading_counts().failed as u64);
-        Ok(with_surveyor(|surveyor| surveyor.survey(&self.config, &scan)))
+        Ok((with_surveyor(|surveyor| surveyor.survey(&self.config, &scan)), *scan.pose()))
     }
 
     fn checked(&self, input: ScanInput) -> Result<Scan, Refusal> {
@@ -193,7 +200,7 @@ impl Task {
     }
 
     fn sensor(&self, name: &str) -> Result<SensorModel, Refusal> {
-        let name = if name.is_empty() { DEFAULT_SENSOR } else { name };
+        let name = sensor_name(name);
         self.config.sensors().get(name).copied().ok_or_else(|| {
             let shown: String = name.chars().take(80).collect();
             ("UNKNOWN_SENSOR", format!("sensor {shown:?} is not in the map's configuration"))
@@ -214,17 +221,20 @@ pub(super) fn shielded<T>(work: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(work)).ok()
 }
 
-fn numbered(input: &ScanInput) -> Result<Option<Numbered>, Refusal> {
-    let robot = if input.robot.is_empty() {
-        None
-    } else {
-        Some(RobotName::new(&input.robot).map_err(|e| ("INVALID_ROBOT", format!("robot: {e}")))?)
-    };
-    match (robot, input.sequence) {
-        (Some(robot), Some(sequence)) => Ok(Some(Numbered { robot, sequence })),
-        (None, Some(_)) => Err(("INVALID_ROBOT", "robot is missing: a scan with a sequence needs it".to_owned())),
-        (_, None) => Ok(None),
+/// The robot that a scan names, as one with a sequence must.
+fn robot(input: &ScanInput) -> Result<Option<RobotName>, Refusal> {
+    if !input.robot.is_empty() {
+        return RobotName::new(&input.robot).map(Some).map_err(|e| ("INVALID_ROBOT", format!("robot: {e}")));
     }
+    if input.sequence.is_some() {
+        return Err(("INVALID_ROBOT", "robot is missing: a scan with a sequence needs it".to_owned()));
+    }
+    Ok(None)
+}
+
+/// The sensor that a scan means.
+fn sensor_name(name: &str) -> &str {
+    if name.is_empty() { DEFAULT_SENSOR } else { name }
 }
 
 /// The refusal of a sequence that its window no longer holds.

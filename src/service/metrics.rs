@@ -15,6 +15,7 @@ const QUEUE_DEPTH: &str = "ubbmap_queue_depth";
 const QUERY_SECONDS: &str = "ubbmap_query_seconds";
 const MAPS_OPEN: &str = "ubbmap_maps_open";
 const CACHE_BYTES: &str = "ubbmap_cache_bytes";
+const SNAPSHOT_CACHE_BYTES: &str = "ubbmap_snapshot_cache_bytes";
 const CACHE_HITS: &str = "ubbmap_cache_hits_total";
 const CACHE_LOADS: &str = "ubbmap_cache_loads_total";
 const CACHE_EVICTIONS: &str = "ubbmap_cache_evictions_total";
@@ -36,6 +37,7 @@ pub fn describe_metrics() {
     describe_gauge!(MAPS_OPEN, "Maps that are open: all of each but its blocks is in memory");
     describe_gauge!(WATCHERS, "Watches of maps that are open");
     describe_gauge!(CACHE_BYTES, "Bytes of the blocks in memory, all maps together");
+    describe_gauge!(SNAPSHOT_CACHE_BYTES, "Bytes of the snapshots in memory for those who ask them");
     describe_counter!(CACHE_HITS, "Blocks looked into that were in memory");
     describe_counter!(CACHE_LOADS, "Blocks read from the store");
     describe_counter!(CACHE_EVICTIONS, "Blocks let go to keep the limit");
@@ -50,6 +52,11 @@ pub(super) fn cache(statistics: &CacheStatistics) {
     counter!(CACHE_HITS).absolute(statistics.hits);
     counter!(CACHE_LOADS).absolute(statistics.loads);
     counter!(CACHE_EVICTIONS).absolute(statistics.evictions);
+}
+
+/// Takes over what snapshots take that are kept for queries.
+pub(super) fn snapshot_cache(bytes: usize) {
+    gauge!(SNAPSHOT_CACHE_BYTES).set(bytes as f64);
 }
 
 /// Takes over what the store counts by itself.

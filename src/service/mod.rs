@@ -15,10 +15,13 @@ mod nav2;
 mod queries;
 mod registry;
 mod rescue;
+mod robots;
 mod settings;
+mod snapshot_cache;
 mod snapshots;
 mod stamps;
 mod transfer;
+mod views;
 mod writer;
 
 #[cfg(test)]
@@ -47,17 +50,10 @@ pub use error::{ErrorKind, ServiceError};
 pub use input::{RawPose, ScanInput};
 pub use metrics::describe_metrics;
 pub use nav2::Nav2Mode;
+pub use robots::{RobotPose, RobotsAnswer};
 pub use settings::ServiceSettings;
 pub use transfer::{ExportForm, ExportedFile};
-
-/// Queries of at most so many points are answered on the caller's thread, larger ones on a thread for them.
-const INLINE_POINTS: usize = 1024;
-
-/// The same for leaves of a region.
-const INLINE_LEAVES: u64 = 4096;
-
-/// The same for cells of a grid: a tile's.
-const INLINE_CELLS: u64 = 65_536;
+pub use views::MapView;
 
 /// The maps of one server. Cheap to clone; all clones are one service.
 #[derive(Clone)]
@@ -131,102 +127,54 @@ impl MapService {
         self.registry.insert(name, scans, WhenFull::Wait).await
     }
 
-    /// Classes at points; `depth` 0..=map depth, default the map's.
+    /// Classes at points of the last revision.
     ///
     /// # Errors
-    /// [`ErrorKind::MapNotFound`], [`ErrorKind::DepthOutOfRange`], [`ErrorKind::InvalidPoint`], [`ErrorKind::TooManyPoints`].
+    /// As [`MapService::view`] and [`MapView::classes`].
     pub async fn classes(
         &self,
         name: &MapName,
         points: &[(f64, f64)],
         depth: Option<u32>,
     ) -> Result<ClassesAnswer, ServiceError> {
-        limited("points", points.len(), self.settings().max_points, ErrorKind::TooManyPoints)?;
-        let root = self.root(name).await?;
-        let depth = root.depth(depth)?;
-        if points.len() <= INLINE_POINTS
-            && let Some(answer) = inline("classes", name, || root.in_memory().classes(points, depth))
-        {
-            return answer;
-        }
-        let points = points.to_vec();
-        self.apart("classes", name, move || root.classes(&points, depth)).await
+        self.view(name, None).await?.classes(points, depth).await
     }
 
-    /// The quadtree leaves of a half-open box, at most to a depth.
+    /// The quadtree leaves of a half-open box of the last revision, at most to a depth.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidRegion`], [`ErrorKind::RegionTooLarge`] naming the limit and the depth that would fit.
+    /// As [`MapService::view`] and [`MapView::region`].
     pub async fn region(&self, name: &MapName, query: &BoxQuery) -> Result<RegionAnswer, ServiceError> {
-        self.region_with(name, query, false).await
+        self.view(name, None).await?.region(query, false).await
     }
 
-    /// As [`MapService::region`]; `with_blocks`: with the blocks that ever changed, and when they last did.
+    /// A dense raster of a half-open box of the last revision.
     ///
     /// # Errors
-    /// As [`MapService::region`].
-    pub async fn region_with(
-        &self,
-        name: &MapName,
-        query: &BoxQuery,
-        with_blocks: bool,
-    ) -> Result<RegionAnswer, ServiceError> {
-        let root = self.root(name).await?;
-        let area = root.area(query)?;
-        if root.nodes(&area) <= INLINE_LEAVES
-            && let Some(answer) =
-                inline("region", name, || root.in_memory().region(&area, with_blocks, self.settings()))
-        {
-            return answer;
-        }
-        let settings = Arc::clone(&self.registry.settings);
-        self.apart("region", name, move || root.region(&area, with_blocks, &settings)).await
-    }
-
-    /// A dense raster of a half-open box at a depth; cells outside the root are not in it.
-    ///
-    /// # Errors
-    /// As [`MapService::region`].
+    /// As [`MapService::view`] and [`MapView::grid`].
     pub async fn grid(&self, name: &MapName, query: &BoxQuery) -> Result<Raster, ServiceError> {
-        let root = self.root(name).await?;
-        let area = root.area(query)?;
-        let plan = root.plan_grid(&area, self.settings())?;
-        if root.nodes(&area) <= INLINE_CELLS
-            && let Some(answer) = inline("grid", name, || root.in_memory().grid_raster(&plan))
-        {
-            return answer;
-        }
-        self.apart("grid", name, move || root.grid_raster(&plan)).await
+        self.view(name, None).await?.grid(query).await
     }
 
-    /// The node `(z, x, y)` as 256 x 256 cells of depth `z + 8` (cells deeper than the leaves repeat the leaf).
+    /// The node `(z, x, y)` of the last revision as 256 x 256 cells.
     ///
     /// # Errors
-    /// [`ErrorKind::TileOutOfRange`]
+    /// As [`MapService::view`] and [`MapView::tile`].
     pub async fn tile(&self, name: &MapName, z: u32, x: u32, y: u32) -> Result<Raster, ServiceError> {
-        let root = self.root(name).await?;
-        if let Some(answer) = inline("tile", name, || root.in_memory().tile(z, x, y)) {
-            return answer;
-        }
-        self.apart("tile", name, move || root.tile(z, x, y)).await
+        self.view(name, None).await?.tile(z, x, y).await
     }
 
-    /// Is each region guaranteed free? All of one revision.
+    /// Is each region guaranteed free? All of the last revision.
     ///
     /// # Errors
-    /// [`ErrorKind::MapNotFound`], [`ErrorKind::ToleranceTooHigh`], [`ErrorKind::TooManyRegions`].
+    /// As [`MapService::view`] and [`MapView::guaranteed_free`].
     pub async fn guaranteed_free(
         &self,
         name: &MapName,
         regions: &[Region],
         tolerance: u32,
     ) -> Result<FreeAnswers, ServiceError> {
-        limited("regions", regions.len(), self.settings().max_regions, ErrorKind::TooManyRegions)?;
-        let root = self.root(name).await?;
-        let tolerance = root.tolerance(tolerance)?;
-        // How long a region takes depends on the map below it, so none of them is computed here.
-        let regions = regions.to_vec();
-        self.apart("guaranteed_free", name, move || root.guaranteed_free(&regions, tolerance)).await
+        self.view(name, None).await?.guaranteed_free(regions, tolerance).await
     }
 
     /// True while the service takes work and its store takes writes.
@@ -289,6 +237,7 @@ impl MapService {
     /// Hands what is counted elsewhere to the recorder: called before the metrics are shown.
     pub fn note_metrics(&self) {
         metrics::cache(&self.cache());
+        metrics::snapshot_cache(self.registry.snapshots.bytes());
         if let Some(statistics) = self.registry.store.statistics() {
             metrics::store(&statistics);
         }

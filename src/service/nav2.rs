@@ -5,7 +5,7 @@
 use super::queries::QueryError;
 use super::{ErrorKind, ServiceError};
 use crate::mapping::{EvidenceRule, MapConfig};
-use crate::quadtree::{Class, ClassScale, LeafRange, PagedTree};
+use crate::quadtree::{Class, ClassScale, LeafRange, NodeAddress, PagedTree};
 use std::fmt::Write as _;
 use std::io::{self, Cursor, Write as _};
 use zip::write::SimpleFileOptions;
@@ -106,8 +106,8 @@ impl Drawing<'_> {
     fn yaml(&self, range: &LeafRange) -> String {
         let grid = self.config.grid();
         let size = grid.node_size(self.depth);
-        let (x, y) = grid.origin();
-        let (x, y) = (x + f64::from(range.min_x) * size, y + f64::from(range.min_y) * size);
+        // The shortest number that is right: the corner of a leaf at 3 * 0.1 is 0.3.
+        let (x, y) = grid.node_min(NodeAddress { depth: self.depth, x: range.min_x, y: range.min_y });
         let mode = match self.mode {
             Nav2Mode::Trinary => "trinary",
             Nav2Mode::Scale => "scale",

@@ -6,6 +6,8 @@ use super::failures::{map_exists, map_not_found, store_error, store_failure, thr
 use super::gate::Gate;
 use super::metrics;
 use super::rescue::Rescue;
+use super::robots::Robots;
+use super::snapshot_cache::SnapshotCache;
 use super::stamps::time_of;
 use super::writer::{Published, Request, Writer};
 use super::{
@@ -39,6 +41,8 @@ pub(super) struct Registry {
     pub(super) store: Arc<dyn MapStore>,
     /// Blocks of all maps in memory.
     pub(super) cache: Arc<BlockCache>,
+    /// Snapshots that are asked, in memory.
+    pub(super) snapshots: Arc<SnapshotCache>,
     pub(super) settings: Arc<ServiceSettings>,
     /// Held for a look or a change, never across a disk access or an await.
     table: RwLock<Table>,
@@ -85,6 +89,7 @@ pub(super) struct Entry {
     /// The snapshot that a damaged map can be rescued from.
     pub(super) rescue: Rescue,
     pub(super) changes: Arc<ChangeLog>,
+    pub(super) robots: Arc<Robots>,
     /// Cancelled when the map is being deleted.
     pub(super) stop: CancellationToken,
 }
@@ -117,6 +122,7 @@ impl Registry {
             changes: Mutex::new(()),
             pool: EvidencePool::new(&settings)?,
             cache: Arc::new(BlockCache::new(settings.cache_bytes)),
+            snapshots: Arc::new(SnapshotCache::new(settings.snapshot_cache_bytes)),
             gate: Arc::new(Gate::new()),
             heavy: Arc::new(Semaphore::new(settings.max_concurrent_queries.clamp(1, Semaphore::MAX_PERMITS))),
             notices,
@@ -193,6 +199,7 @@ impl Registry {
             published: Arc::clone(&published),
             pager,
             changes: Arc::clone(&entry.changes),
+            robots: Arc::clone(&entry.robots),
             max_scans_per_commit: self.settings.max_scans_per_commit,
             max_robots: self.settings.max_robots,
             max_snapshots: self.settings.max_snapshots,
@@ -297,6 +304,7 @@ impl Registry {
             return Err(error);
         }
         self.change(|table| table.maps.remove(&entry.name));
+        self.snapshots.forget(id);
         tracing::info!(map = %entry.name, id = id.0, "deleted");
         Ok(())
     }
@@ -395,6 +403,7 @@ impl Entry {
         let changes = ChangeLog::new(map.name.clone(), map.id, map.revision, settings.max_changes, notices.clone());
         Self {
             changes: Arc::new(changes),
+            robots: Arc::new(Robots::new(settings.max_robots)),
             name: map.name,
             id: map.id,
             created: map.created,

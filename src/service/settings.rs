@@ -40,6 +40,8 @@ pub struct ServiceSettings {
     pub max_bytes_in_flight: usize,
     /// Most bytes of blocks in memory, all maps together; what stands above them, about 100 bytes a block, comes on top.
     pub cache_bytes: usize,
+    /// Most bytes of snapshots in memory for those who ask them; one more is there while it is read.
+    pub snapshot_cache_bytes: usize,
     /// Heavy queries computed at once; more wait for their turn.
     pub max_concurrent_queries: usize,
     /// Threads that compute evidence; 0 is one a core.
@@ -66,6 +68,7 @@ impl Default for ServiceSettings {
             max_changes: 65_536,
             max_bytes_in_flight: 512 << 20,
             cache_bytes: 1 << 30,
+            snapshot_cache_bytes: 256 << 20,
             max_concurrent_queries: 32,
             evidence_threads: 0,
         }

@@ -63,7 +63,7 @@ impl Writer {
         // What is damaged in the map and sound in the snapshot is mended by this commit: it cannot be held for readers of
         // older roots, who could not read it before either.
         let replaced = base.tree.hold_readable(&commit.addresses(), is_damage).map_err(|e| failed(e.into()))?;
-        let revision = self.publish(&commit, next, replaced, 0).map_err(failed)?;
+        let revision = self.publish(&commit, next, replaced, 0, &[]).map_err(failed)?;
         tracing::info!(map = %self.name, %snapshot, from, revision, blocks, "snapshot restored");
         Ok(revision)
     }

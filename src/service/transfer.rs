@@ -148,7 +148,7 @@ impl MapService {
 }
 
 /// The error at the field that the request has for it.
-fn named(mut error: ServiceError, field: &str) -> ServiceError {
+pub(super) fn named(mut error: ServiceError, field: &str) -> ServiceError {
     if error.kind == ErrorKind::SnapshotNotFound {
         error.field = Some(field.to_owned());
     }

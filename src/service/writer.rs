@@ -10,6 +10,7 @@ use super::failures::{map_not_found, store_failure};
 use super::gate::Inside;
 use super::metrics;
 use super::registry::now;
+use super::robots::{Robots, Sighting};
 use super::snapshots::Errand;
 use super::{ErrorKind, InsertAnswer, Rejection, ServiceError};
 use crate::quadtree::{BlockAddress, BlockPager, Held, LeafMasks, PageError, PagedTree};
@@ -61,6 +62,8 @@ pub(super) struct ScanEvidence {
     pub(super) index: usize,
     /// `None` is always applied.
     pub(super) numbered: Option<Numbered>,
+    /// Where its robot was; `None` where it names none.
+    pub(super) sighting: Option<Sighting>,
     pub(super) masks: LeafMasks,
 }
 
@@ -99,6 +102,7 @@ pub(super) struct Writer {
     /// Where the map's blocks are read from; `None` when they stay in memory.
     pub(super) pager: Option<Arc<BlockPager>>,
     pub(super) changes: Arc<ChangeLog>,
+    pub(super) robots: Arc<Robots>,
     pub(super) max_scans_per_commit: usize,
     pub(super) max_robots: usize,
     pub(super) max_snapshots: usize,
@@ -113,6 +117,8 @@ struct Round<'a> {
     /// Robots that had no window before.
     new_robots: usize,
     applied: u64,
+    /// Where robots were, in the order of arrival.
+    seen: Vec<&'a Sighting>,
     /// A block could not be read while evidence was applied: the round ends in this.
     broken: Option<PageError>,
 }
@@ -201,14 +207,16 @@ impl Writer {
     }
 
     /// Stores a round and publishes it; returns the revision that holds it.
-    fn store(&self, round: Round<'_>) -> Result<u64, StoreError> {
+    fn store(&self, mut round: Round<'_>) -> Result<u64, StoreError> {
         let (applied, base) = (round.applied, round.base);
+        let seen = std::mem::take(&mut round.seen);
         let Some((commit, next)) = round.finish()? else {
+            self.robots.note(&seen, base.revision, now());
             return Ok(base.revision);
         };
         // Readers of older roots keep their blocks, whose records go now.
         let replaced = base.tree.hold_replaced(&commit.addresses())?;
-        self.publish(&commit, next, replaced, applied)
+        self.publish(&commit, next, replaced, applied, &seen)
     }
 
     /// Makes a commit durable, then publishes the root that it leads to; returns its revision. A failed one leaves
@@ -219,6 +227,7 @@ impl Writer {
         mut next: Published,
         replaced: Held,
         applied: u64,
+        seen: &[&Sighting],
     ) -> Result<u64, StoreError> {
         let started = Instant::now();
         let stored = self.store.commit(self.id, commit);
@@ -232,6 +241,7 @@ impl Writer {
         let stamp = BlockStamp { revision: commit.revision, changed: commit.changed };
         changed.iter().for_each(|address| next.stamps.set(*address, stamp));
         self.changes.record(commit.revision, changed.into_iter());
+        self.robots.note(seen, commit.revision, commit.changed);
         self.published.store(Arc::new(next));
         self.changes.announce(commit.revision);
         Ok(commit.revision)
@@ -278,6 +288,7 @@ impl<'a> Round<'a> {
             windows: BTreeMap::new(),
             new_robots: 0,
             applied: 0,
+            seen: Vec::new(),
             broken: None,
         }
     }
@@ -285,7 +296,7 @@ impl<'a> Round<'a> {
     /// Applies one request's scans in order.
     ///
     /// What a scan looks into is read before it counts as applied: one that meets a damaged block is refused by itself.
-    fn take(&mut self, job: &Job, max_robots: usize) -> InsertAnswer {
+    fn take(&mut self, job: &'a Job, max_robots: usize) -> InsertAnswer {
         let mut answer = job.answer.clone();
         if job.restored != self.base.restored {
             self.look_again(&job.known, &mut answer);
@@ -299,6 +310,7 @@ impl<'a> Round<'a> {
                         self.broken.get_or_insert(error);
                     }
                     self.applied += 1;
+                    self.seen.extend(&scan.sighting);
                     answer.applied += 1;
                 }
                 Err((code, detail)) => answer.rejected.push(Rejection { index: scan.index, code, detail }),

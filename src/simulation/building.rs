@@ -1,7 +1,7 @@
 //! A small office building: nine rooms on both sides of a corridor, furnished, 25 m by 15 m.
 
 use super::furniture::RoomFrame;
-use super::{Point, Shape, World};
+use super::{Pane, Point, Shape, World};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
@@ -51,6 +51,9 @@ pub struct Building {
     pub rooms: Vec<Room>,
 }
 
+/// Half the width of a window, metres.
+const WINDOW: f64 = 0.9;
+
 impl Building {
     /// The building; `seed` shifts chairs, doors and clutter a little, the plan stays.
     #[must_use]
@@ -81,6 +84,21 @@ impl Building {
         }
         furnish_corridor(&mut shapes);
         Self { world: World::new(shapes), rooms }
+    }
+
+    /// A window in the middle of the outer wall of every room.
+    #[must_use]
+    pub fn panes() -> Vec<Pane> {
+        let mut panes = Vec::new();
+        for (y, plan) in [(0.0, &SOUTH[..]), (DEPTH, &NORTH[..])] {
+            let mut west = 0.0;
+            for (east, _) in plan {
+                let middle = 0.5 * (west + east);
+                panes.push(Pane { y, x: (middle - WINDOW, middle + WINDOW) });
+                west = *east;
+            }
+        }
+        panes
     }
 }
 

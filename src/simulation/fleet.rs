@@ -1,6 +1,6 @@
 //! Robots that explore a building and scan it: true poses, pose boxes that hold them, and scans.
 
-use super::{Building, Motion, Point, Pose, Quirks, pose_box_around, simulate_scan};
+use super::{Building, Motion, Pane, Point, Pose, Quirks, fail_at_glass, pose_box_around, simulate_scan};
 use crate::sensor::{Angles, Mount, ScanSpec, SensorSpec};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -76,6 +76,9 @@ pub struct Fleet {
     building: Building,
     robots: Vec<Robot>,
     steps: u64,
+    /// Where beams fail; empty where the windows are walls like all others.
+    panes: Vec<Pane>,
+    glass: ChaCha8Rng,
 }
 
 impl Fleet {
@@ -90,7 +93,15 @@ impl Fleet {
                 Robot { legs, leg: 0, time: 0.0, offset: [0.0; 3], sequence: 0, random }
             })
             .collect();
-        Self { building, robots, steps: 0 }
+        Self { building, robots, steps: 0, panes: Vec::new(), glass: ChaCha8Rng::seed_from_u64(seed) }
+    }
+
+    /// The same fleet in the same building with panes in its windows: there beams fail as they do at glass. All other
+    /// readings stay as they are.
+    #[must_use]
+    pub fn with_glass(mut self) -> Self {
+        self.panes = Building::panes();
+        self
     }
 
     /// The building that the robots are in.
@@ -116,17 +127,16 @@ impl Fleet {
     pub fn step(&mut self) -> Vec<SimulatedScan> {
         let stamp = self.steps as f64 * INTERVAL;
         self.steps += 1;
-        let building = &self.building;
+        let (building, panes, glass) = (&self.building, &self.panes, &mut self.glass);
         let scan = |(i, robot): (usize, &mut Robot)| {
             let truth = robot.advance();
             robot.sequence += 1;
-            robot.scan(building, truth).map(|scan| SimulatedScan {
-                robot: format!("robot-{i}"),
-                sequence: robot.sequence,
-                stamp,
-                truth,
-                scan,
-            })
+            let mut scan = robot.scan(building, truth)?;
+            if let Angles::Uniform { min, increment } = scan.angles {
+                let angle = |beam: usize| min + beam as f64 * increment;
+                fail_at_glass(panes, truth.sensor(&Self::sensor()), angle, &mut scan.ranges, glass);
+            }
+            Some(SimulatedScan { robot: format!("robot-{i}"), sequence: robot.sequence, stamp, truth, scan })
         };
         self.robots.iter_mut().enumerate().filter_map(scan).collect()
     }

@@ -66,3 +66,32 @@ fn the_same_seed_gives_the_same_scans() {
         assert_eq!(bits(a.step()), bits(b.step()));
     }
 }
+
+#[test]
+fn at_glass_beams_fail_and_all_other_readings_stay() {
+    let (mut plain, mut glazed) = (Fleet::new(5, 4), Fleet::new(5, 4).with_glass());
+    let panes = Building::panes();
+    assert_eq!(panes.len(), plain.building().rooms.len());
+    let (mut failed, mut stayed) = (0, 0);
+    for _ in 0..400 {
+        for (a, b) in plain.step().iter().zip(&glazed.step()) {
+            assert_eq!((a.truth, &a.scan.pose), (b.truth, &b.scan.pose));
+            let (origin, heading) = a.truth.sensor(&Fleet::sensor());
+            let Angles::Uniform { min, increment } = a.scan.angles else { panic!("uneven") };
+            for (i, (range, glass)) in a.scan.ranges.iter().zip(&b.scan.ranges).enumerate() {
+                let direction = heading + min + i as f64 * increment;
+                let y = origin.y + f64::from(*range) * direction.sin();
+                let at_outer_wall = y.abs() < 0.2 || (y - 15.0).abs() < 0.2;
+                match glass.to_bits() == range.to_bits() {
+                    true => stayed += usize::from(at_outer_wall),
+                    // Only ever no reading, and only at the outer walls: never another distance.
+                    false => {
+                        assert!(glass.is_nan() && at_outer_wall, "{range} became {glass} at y {y}");
+                        failed += 1;
+                    }
+                }
+            }
+        }
+    }
+    assert!(failed > 2000 && stayed > 2000, "{failed} {stayed}");
+}

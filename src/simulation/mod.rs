@@ -12,6 +12,7 @@ mod fleet;
 #[cfg(test)]
 mod fleet_tests;
 mod furniture;
+mod glass;
 mod part;
 mod scanner;
 mod world;
@@ -19,6 +20,7 @@ mod world;
 pub use building::{Building, Room};
 pub use cone::Cone;
 pub use fleet::{Fleet, SimulatedScan};
+pub use glass::{Pane, fail_at_glass};
 pub use part::Part;
 pub use scanner::{Motion, Pose, Profile, Quirks, angle_errors, pose_box_around, simulate_scan};
 pub use world::{Shape, World};

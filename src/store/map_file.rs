@@ -26,7 +26,8 @@ use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use thiserror::Error;
 
-const MAGIC: [u8; 8] = *b"\x89UBBMAP\n";
+/// What every map file begins with.
+pub const MAP_FILE_MAGIC: [u8; 8] = *b"\x89UBBMAP\n";
 
 /// The version of map files that this program writes, and the newest that it reads.
 const FILE_VERSION: u32 = 1;
@@ -141,7 +142,7 @@ pub fn write_map_file(out: &mut impl Write, config: &MapConfig, map: &LoadedMap)
     within("bytes", compressed.len() as u64, limits.file_bytes)?;
 
     let mut header = Vec::with_capacity(HEADER);
-    header.extend_from_slice(&MAGIC);
+    header.extend_from_slice(&MAP_FILE_MAGIC);
     header.extend_from_slice(&FILE_VERSION.to_be_bytes());
     header.extend_from_slice(&(compressed.len() as u64).to_be_bytes());
     header.extend_from_slice(&crc32c::crc32c(&compressed).to_be_bytes());
@@ -211,13 +212,13 @@ pub fn read_map_file_within(
 ) -> Result<(MapConfig, LoadedMap), MapFileError> {
     let mut header = Vec::with_capacity(HEADER);
     input.by_ref().take(HEADER as u64).read_to_end(&mut header)?;
-    if !header.starts_with(&MAGIC) {
+    if !header.starts_with(&MAP_FILE_MAGIC) {
         return Err(MapFileError::NotAMapFile);
     }
     if header.len() < HEADER {
         return Err(MapFileError::Damaged(format!("it ends after {} bytes, within its header", header.len())));
     }
-    let mut fields = Reader::new(&header[MAGIC.len()..]);
+    let mut fields = Reader::new(&header[MAP_FILE_MAGIC.len()..]);
     let version = fields.u32("version")?;
     let compressed_length = fields.u64("compressed length")?;
     let compressed_sum = fields.u32("compressed checksum")?;

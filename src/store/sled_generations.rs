@@ -98,16 +98,33 @@ pub(super) fn is_in(directory: &Path) -> Result<bool, StoreError> {
     Ok(directory.is_dir() && !present(directory)?.is_empty())
 }
 
-/// The generation that is the store; `None` where there is none at all. What `current` does not say is decided only where
-/// there is one answer: an older generation served in silence would be maps that have gone back.
+/// The generation that is the store; `None` where there is none at all. Where `current` does not say it and it can be told
+/// all the same, `current` does from now on.
 ///
 /// # Errors
 /// [`StoreError::NoStore`] when it cannot be told which one it is.
 pub(super) fn find(directory: &Path) -> Result<Option<Generation>, StoreError> {
+    let Some((generation, fault)) = decide(directory)? else { return Ok(None) };
+    if let Some(what) = fault {
+        tracing::warn!(
+            directory = %directory.display(),
+            "the file {CURRENT:?} {what}; {} is the only database there, so it is the store", generation.name()
+        );
+        point_to(directory, generation).map_err(Pointing::into_error)?;
+    }
+    Ok(Some(generation))
+}
+
+/// The generation that is the store, and what is wrong with `current`. What that does not say is decided only where there is
+/// one answer: an older generation served in silence would be maps that have gone back. Nothing is changed.
+///
+/// # Errors
+/// [`StoreError::NoStore`] when it cannot be told which one it is.
+pub(super) fn decide(directory: &Path) -> Result<Option<(Generation, Option<&'static str>)>, StoreError> {
     let present = present(directory)?;
     let names = || present.iter().map(|generation| generation.name()).collect::<Vec<_>>().join(", ");
     let what = match read_pointer(directory)? {
-        Pointer::Names(generation) if present.contains(&generation) => return Ok(Some(generation)),
+        Pointer::Names(generation) if present.contains(&generation) => return Ok(Some((generation, None))),
         Pointer::Names(generation) => {
             let name = generation.name();
             let why =
@@ -115,20 +132,15 @@ pub(super) fn find(directory: &Path) -> Result<Option<Generation>, StoreError> {
             return Err(no_store(directory, &why));
         }
         // It is written when the first rewrite begins.
-        Pointer::Absent if present.is_empty() || present == [Generation::FIRST] => return Ok(present.first().copied()),
+        Pointer::Absent if present.is_empty() || present == [Generation::FIRST] => {
+            return Ok(present.first().map(|first| (*first, None)));
+        }
         Pointer::Absent => "is missing",
         Pointer::Damaged => "is damaged",
     };
     match present[..] {
         // A generation is removed only when `current` names another durably: the last one left is the store.
-        [only] => {
-            tracing::warn!(
-                directory = %directory.display(),
-                "the file {CURRENT:?} {what}; {} is the only database there, so it is the store", only.name()
-            );
-            point_to(directory, only).map_err(Pointing::into_error)?;
-            Ok(Some(only))
-        }
+        [only] => Ok(Some((only, Some(what)))),
         [] => Err(no_store(
             directory,
             &format!("the file {CURRENT:?} {what} and there is no database; restore the directory"),

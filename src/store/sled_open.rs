@@ -234,9 +234,8 @@ fn lock_directory(directory: &Path) -> Result<File, StoreError> {
     }
 }
 
-/// Makes an empty store. Refuses a directory that looks as if it had held one.
-fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError> {
-    let creating = directory.join(CREATING);
+/// Refuses a directory without a database that looks as if it had held one.
+pub(super) fn check_blank(directory: &Path) -> Result<(), StoreError> {
     for entry in fs::read_dir(directory).map_err(|source| io(directory, "reading", source))? {
         let name = entry.map_err(|source| io(directory, "reading", source))?.file_name();
         let name = name.to_string_lossy();
@@ -251,6 +250,13 @@ fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError
             ));
         }
     }
+    Ok(())
+}
+
+/// Makes an empty store. Refuses a directory that looks as if it had held one.
+fn create_store(directory: &Path, options: SledOptions) -> Result<(), StoreError> {
+    check_blank(directory)?;
+    let creating = directory.join(CREATING);
     if exists(&creating)? {
         // Left by a process that ended while it made the store; nothing was accepted into it yet.
         fs::remove_dir_all(&creating).map_err(|source| io(&creating, "removing", source))?;

@@ -78,8 +78,7 @@ impl Incoming {
     /// [`ErrorKind::BodyTooLarge`] when there is more than `limit`.
     pub fn take(&mut self, piece: &[u8], limit: usize) -> Result<(), ServiceError> {
         if piece.len() > limit.saturating_sub(self.bytes.len()) {
-            let detail = format!("the file is larger than {limit} bytes, the limit");
-            return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
+            return Err(too_large(limit));
         }
         self.bytes.extend_from_slice(piece);
         Ok(())
@@ -90,6 +89,14 @@ impl Incoming {
     pub fn done(self) -> Vec<u8> {
         self.bytes
     }
+}
+
+/// What a file is told that is larger than is taken: whoever runs the server can take more.
+#[must_use]
+pub fn too_large(limit: usize) -> ServiceError {
+    let detail =
+        format!("the file is larger than {limit} bytes, the limit (the server's setting `limits.import_bytes`)");
+    ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body")
 }
 
 /// What a transfer is told that took too long.

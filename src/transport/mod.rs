@@ -1,6 +1,7 @@
 //! Floor 5: the transports. They translate, and hold no logic. What they have in common stands beside them: the
-//! operations from message to message, the streams, the door that all pass, and the table of errors.
+//! operations from message to message, the streams, the door that all pass, who may do what, and the table of errors.
 
+pub mod access;
 pub mod door;
 pub mod files;
 pub mod grpc;
@@ -9,5 +10,6 @@ pub mod operations;
 pub mod parameters;
 mod scan_stream;
 pub mod status;
+pub mod tls;
 mod watching;
 pub mod zenoh;

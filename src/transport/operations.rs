@@ -1,14 +1,16 @@
 //! Every operation from its request message to its response message: what all transports have in common.
 
-use crate::service::{ErrorKind, ExportedFile, MapService, ServiceError};
+use super::access::{OnBehalf, Operation};
+use crate::service::{ErrorKind, ExportedFile, MapView, ServiceError};
+use crate::store::MapName;
 use crate::wire::{self, Batch, v1};
 
 /// Creates a map.
 ///
 /// # Errors
-/// As [`MapService::create_map`].
+/// As [`OnBehalf::create_map`].
 pub async fn create_map(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CreateMapRequest,
 ) -> Result<v1::CreateMapResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -19,25 +21,25 @@ pub async fn create_map(
 /// One map.
 ///
 /// # Errors
-/// As [`MapService::map`].
-pub async fn get_map(service: &MapService, request: v1::GetMapRequest) -> Result<v1::GetMapResponse, ServiceError> {
+/// As [`OnBehalf::map`].
+pub async fn get_map(service: &OnBehalf, request: v1::GetMapRequest) -> Result<v1::GetMapResponse, ServiceError> {
     Ok(wire::get_map_response(service.map(&wire::map_name(&request.map)?).await?))
 }
 
 /// All maps.
 ///
 /// # Errors
-/// As [`MapService::maps`].
-pub async fn list_maps(service: &MapService) -> Result<v1::ListMapsResponse, ServiceError> {
+/// As [`OnBehalf::maps`].
+pub async fn list_maps(service: &OnBehalf) -> Result<v1::ListMapsResponse, ServiceError> {
     Ok(wire::list_maps_response(service.maps().await?))
 }
 
 /// Deletes a map.
 ///
 /// # Errors
-/// As [`MapService::delete_map`].
+/// As [`OnBehalf::delete_map`].
 pub async fn delete_map(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::DeleteMapRequest,
 ) -> Result<v1::DeleteMapResponse, ServiceError> {
     service.delete_map(&wire::map_name(&request.map)?).await?;
@@ -47,9 +49,9 @@ pub async fn delete_map(
 /// Applies scans.
 ///
 /// # Errors
-/// As [`MapService::insert`].
+/// As [`OnBehalf::insert`].
 pub async fn insert_scans(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::InsertScansRequest,
 ) -> Result<v1::InsertScansResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -62,69 +64,74 @@ pub async fn insert_scans(
 /// Classes at points.
 ///
 /// # Errors
-/// As [`MapService::classes`].
+/// As [`OnBehalf::view`] and [`MapView::classes`].
 pub async fn get_classes(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetClassesRequest,
 ) -> Result<v1::GetClassesResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     limited(request.points.len(), service.settings().max_points, "points", ErrorKind::TooManyPoints)?;
     let points = wire::points(&request.points)?;
-    Ok(wire::classes_response(service.classes(&name, &points, request.depth).await?))
+    let view = view(service, Operation::GetClasses, &name, &request.snapshot).await?;
+    Ok(wire::classes_response(view.classes(&points, request.depth).await?))
 }
 
 /// Quadtree leaves of a box.
 ///
 /// # Errors
-/// As [`MapService::region`].
+/// As [`OnBehalf::view`] and [`MapView::region`].
 pub async fn get_region(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetRegionRequest,
 ) -> Result<v1::GetRegionResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    Ok(wire::region_response(service.region_with(&name, &wire::region_query(&request), request.blocks).await?))
+    let view = view(service, Operation::GetRegion, &name, &request.snapshot).await?;
+    Ok(wire::region_response(view.region(&wire::region_query(&request), request.blocks).await?))
 }
 
 /// Dense raster of a box.
 ///
 /// # Errors
-/// As [`MapService::grid`].
-pub async fn get_grid(service: &MapService, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
+/// As [`OnBehalf::view`] and [`MapView::grid`].
+pub async fn get_grid(service: &OnBehalf, request: v1::GetGridRequest) -> Result<v1::GetGridResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
-    Ok(wire::grid_response(service.grid(&name, &wire::grid_query(&request)).await?))
+    let view = view(service, Operation::GetGrid, &name, &request.snapshot).await?;
+    Ok(wire::grid_response(view.grid(&wire::grid_query(&request)).await?))
 }
 
 /// One tile.
 ///
 /// # Errors
-/// As [`MapService::tile`].
-pub async fn get_tile(service: &MapService, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
+/// As [`OnBehalf::view`] and [`MapView::tile`].
+pub async fn get_tile(service: &OnBehalf, request: v1::GetTileRequest) -> Result<v1::GetTileResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     let v1::GetTileRequest { z, x, y, .. } = request;
-    Ok(wire::tile_response(service.tile(&name, z, x, y).await?, (z, x, y)))
+    let view = view(service, Operation::GetTile, &name, &request.snapshot).await?;
+    Ok(wire::tile_response(view.tile(z, x, y).await?, (z, x, y)))
 }
 
 /// The guaranteed-free query.
 ///
 /// # Errors
-/// As [`MapService::guaranteed_free`].
+/// As [`OnBehalf::view`] and [`MapView::guaranteed_free`].
 pub async fn check_guaranteed_free(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CheckGuaranteedFreeRequest,
 ) -> Result<v1::CheckGuaranteedFreeResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
     let settings = service.settings();
     limited(request.regions.len(), settings.max_regions, "regions", ErrorKind::TooManyRegions)?;
     let regions = wire::regions(request.regions, &settings.region)?;
-    Ok(wire::free_response(&service.guaranteed_free(&name, &regions, request.tolerance).await?))
+    let view = view(service, Operation::CheckGuaranteedFree, &name, &request.snapshot).await?;
+    Ok(wire::free_response(&view.guaranteed_free(&regions, request.tolerance).await?))
 }
 
 /// Blocks changed since a revision.
 ///
 /// # Errors
-/// As [`MapService::changes`].
+/// As [`OnBehalf::changes`].
 pub async fn get_changes(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::GetChangesRequest,
 ) -> Result<v1::GetChangesResponse, ServiceError> {
     let name = wire::map_name(&request.map)?;
@@ -132,12 +139,36 @@ pub async fn get_changes(
     Ok(wire::changes_response(service.changes(&name, request.since, &query).await?))
 }
 
+/// Where the robots of a map are.
+///
+/// # Errors
+/// As [`OnBehalf::robots`].
+pub async fn list_robots(
+    service: &OnBehalf,
+    request: v1::ListRobotsRequest,
+) -> Result<v1::ListRobotsResponse, ServiceError> {
+    Ok(wire::list_robots_response(service.robots(&wire::map_name(&request.map)?).await?))
+}
+
+/// The revision of a map that a query reads: the last, or that of the snapshot which it names.
+///
+/// # Errors
+/// As [`OnBehalf::view`].
+pub async fn view(
+    service: &OnBehalf,
+    operation: Operation,
+    map: &MapName,
+    snapshot: &str,
+) -> Result<MapView, ServiceError> {
+    service.view(operation, map, wire::snapshot_wanted(snapshot)?.as_ref()).await
+}
+
 /// Keeps a map's last revision under a name.
 ///
 /// # Errors
-/// As [`MapService::take_snapshot`].
+/// As [`OnBehalf::take_snapshot`].
 pub async fn create_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::CreateSnapshotRequest,
 ) -> Result<v1::CreateSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -147,9 +178,9 @@ pub async fn create_snapshot(
 /// The snapshots of a map.
 ///
 /// # Errors
-/// As [`MapService::snapshots`].
+/// As [`OnBehalf::snapshots`].
 pub async fn list_snapshots(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::ListSnapshotsRequest,
 ) -> Result<v1::ListSnapshotsResponse, ServiceError> {
     Ok(wire::list_snapshots_response(&service.snapshots(&wire::map_name(&request.map)?).await?))
@@ -158,9 +189,9 @@ pub async fn list_snapshots(
 /// Makes a snapshot's content the map's.
 ///
 /// # Errors
-/// As [`MapService::restore_snapshot`].
+/// As [`OnBehalf::restore_snapshot`].
 pub async fn restore_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::RestoreSnapshotRequest,
 ) -> Result<v1::RestoreSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -170,9 +201,9 @@ pub async fn restore_snapshot(
 /// Removes a snapshot.
 ///
 /// # Errors
-/// As [`MapService::delete_snapshot`].
+/// As [`OnBehalf::delete_snapshot`].
 pub async fn delete_snapshot(
-    service: &MapService,
+    service: &OnBehalf,
     request: v1::DeleteSnapshotRequest,
 ) -> Result<v1::DeleteSnapshotResponse, ServiceError> {
     let (map, name) = (wire::map_name(&request.map)?, wire::snapshot_name(&request.name, "name")?);
@@ -183,8 +214,8 @@ pub async fn delete_snapshot(
 /// A whole map as a file.
 ///
 /// # Errors
-/// As [`MapService::export`].
-pub async fn export_map(service: &MapService, request: &v1::ExportMapRequest) -> Result<ExportedFile, ServiceError> {
+/// As [`OnBehalf::export`].
+pub async fn export_map(service: &OnBehalf, request: &v1::ExportMapRequest) -> Result<ExportedFile, ServiceError> {
     let map = wire::map_name(&request.map)?;
     let (snapshot, form) = wire::export_form(request)?;
     service.export(&map, snapshot.as_ref(), form).await
@@ -193,8 +224,8 @@ pub async fn export_map(service: &MapService, request: &v1::ExportMapRequest) ->
 /// A new map from a file.
 ///
 /// # Errors
-/// As [`MapService::import`].
-pub async fn import_map<B>(service: &MapService, map: &str, file: B) -> Result<v1::ImportMapResponse, ServiceError>
+/// As [`OnBehalf::import`].
+pub async fn import_map<B>(service: &OnBehalf, map: &str, file: B) -> Result<v1::ImportMapResponse, ServiceError>
 where
     B: AsRef<[u8]> + Send + 'static,
 {

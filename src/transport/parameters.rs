@@ -56,6 +56,17 @@ impl Parameters {
         self.number(name, "true or false").map(Option::unwrap_or_default)
     }
 
+    /// The name of the snapshot that is asked, not checked yet; empty where it is left out.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidRequest`] at a parameter without a value: who writes one does not mean the map as it is now.
+    pub fn snapshot(&self) -> Result<&str, ServiceError> {
+        match self.text("snapshot") {
+            Some("") => Err(invalid("snapshot", "snapshot must be the name of a snapshot".to_owned())),
+            text => Ok(text.unwrap_or_default()),
+        }
+    }
+
     /// The half-open box and depth of a region or grid query.
     ///
     /// # Errors

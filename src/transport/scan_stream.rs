@@ -3,8 +3,9 @@
 //! A scan is read only when there is a place for it, so a sender that is faster than the map is held up by its own
 //! connection. Acknowledgements come in the order of the stream.
 
+use super::access::OnBehalf;
 use super::door::{Door, ending};
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, ServiceError};
 use crate::store::MapName;
 use crate::wire::{self, Batch, v1};
 use futures_util::stream::{FuturesOrdered, Stream, StreamExt};
@@ -14,16 +15,17 @@ use tokio::sync::mpsc;
 /// One message to the sender, or why there are no more.
 pub type Acknowledgement = Result<v1::StreamScansResponse, ServiceError>;
 
-/// Applies the scans of `incoming` until it ends, the server ends or an error does. What was read is acknowledged
+/// Applies the scans of `incoming` until it, the server or the sender's grant ends, or an error ends it. What was read is acknowledged
 /// first. `window` is how many scans may be under way. The work of a sender that has gone is finished unacknowledged.
 pub async fn run(
-    service: &MapService,
+    service: &OnBehalf,
     door: &Door,
     window: usize,
     incoming: impl Stream<Item = Result<v1::StreamScansRequest, ServiceError>>,
     out: mpsc::Sender<Acknowledgement>,
 ) {
     let mut incoming = pin!(incoming);
+    let mut grant = pin!(service.ended());
     let mut map: Option<MapName> = None;
     let mut index = 0;
     let mut under_way = FuturesOrdered::new();
@@ -41,6 +43,10 @@ pub async fn run(
             () = door.draining(), if reading => {
                 reading = false;
                 end = Some(ending());
+            }
+            ended = &mut grant, if reading => {
+                reading = false;
+                end = Some(ended);
             }
             message = incoming.next(), if reading && under_way.len() < window => {
                 match message.map(|message| message.and_then(|message| take(&mut map, message))) {
@@ -82,7 +88,7 @@ fn invalid(field: &str, detail: String) -> ServiceError {
     ServiceError::new(ErrorKind::InvalidRequest, detail).at(field)
 }
 
-async fn apply(service: &MapService, map: MapName, scan: v1::Scan, index: u64) -> Acknowledgement {
+async fn apply(service: &OnBehalf, map: MapName, scan: v1::Scan, index: u64) -> Acknowledgement {
     let (robot, sequence) = (scan.robot.clone(), scan.sequence);
     let mut batch = Batch::new(vec![scan]);
     let mut response =

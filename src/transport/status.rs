@@ -10,12 +10,14 @@ pub enum GrpcCode {
     DeadlineExceeded = 4,
     NotFound = 5,
     AlreadyExists = 6,
+    PermissionDenied = 7,
     ResourceExhausted = 8,
     OutOfRange = 11,
     Unimplemented = 12,
     Internal = 13,
     Unavailable = 14,
     DataLoss = 15,
+    Unauthenticated = 16,
 }
 
 /// What the error reply of a Zenoh query tells the sender to do.
@@ -73,10 +75,13 @@ pub fn status(kind: ErrorKind) -> Status {
         ErrorKind::NotAcceptable => refused(406, "The answer has no such form", Grpc::InvalidArgument),
         ErrorKind::MethodNotAllowed => refused(405, "The method is not allowed here", Grpc::Unimplemented),
         ErrorKind::RouteNotFound => refused(404, "There is nothing at this path", Grpc::Unimplemented),
+        ErrorKind::Unauthenticated => refused(401, "It is not known who asks", Grpc::Unauthenticated),
+        ErrorKind::PermissionDenied => refused(403, "This caller may not do that", Grpc::PermissionDenied),
         ErrorKind::Busy => retry(429, "The server is busy", Grpc::ResourceExhausted, 1),
         ErrorKind::ShuttingDown => retry(503, "The server is shutting down", Grpc::Unavailable, 5),
         ErrorKind::Timeout => retry(503, "The request took too long", Grpc::DeadlineExceeded, 1),
         ErrorKind::AnotherServer => retry(503, "Another server is on the same keys", Grpc::Unavailable, 5),
+        ErrorKind::TlsRequired => refused(400, "TLS is required", Grpc::Unavailable),
         ErrorKind::MapDamaged => failed("The map's stored data is damaged", Grpc::DataLoss),
         ErrorKind::StoreFailed => failed("The store failed", Grpc::Internal),
         ErrorKind::Internal => failed("The server failed", Grpc::Internal),

@@ -1,7 +1,8 @@
 //! A watch of a map as messages, for every transport that can push.
 
+use super::access::OnBehalf;
 use super::door::{Door, Place, ending};
-use crate::service::{MapService, ServiceError, Watch};
+use crate::service::{ServiceError, Watch};
 use crate::wire::{self, v1};
 use tokio::sync::mpsc;
 
@@ -11,12 +12,12 @@ const WAITING: usize = 1;
 /// One message to the client, or why there are no more.
 pub type Change = Result<v1::WatchMapResponse, ServiceError>;
 
-/// Begins a watch; its messages end with the map, the server, or the receiver.
+/// Begins a watch; its messages end with the map, the server, the caller's grant, or the receiver.
 ///
 /// # Errors
-/// As [`MapService::watch`], and those of a [stream's place](Door::stream).
+/// As [`OnBehalf::watch`], and those of a [stream's place](Door::stream).
 pub async fn begin(
-    service: &MapService,
+    service: &OnBehalf,
     door: &Door,
     request: &v1::WatchMapRequest,
 ) -> Result<mpsc::Receiver<Change>, ServiceError> {
@@ -24,17 +25,20 @@ pub async fn begin(
     let map = wire::map_name(&request.map)?;
     let watch = service.watch(&map, request.since, wire::watch_query(request)).await?;
     let (out, receiver) = mpsc::channel(WAITING);
-    tokio::spawn(run(watch, door.clone(), out, place));
+    tokio::spawn(run(watch, service.clone(), door.clone(), out, place));
     Ok(receiver)
 }
 
-async fn run(mut watch: Watch, door: Door, out: mpsc::Sender<Change>, place: Place) {
+async fn run(mut watch: Watch, asking: OnBehalf, door: Door, out: mpsc::Sender<Change>, place: Place) {
     loop {
         // The place of the message comes first: what changes while the client is slow is then in the message.
         let Ok(permit) = out.reserve().await else { break };
         let change = tokio::select! {
+            // Nothing is told once the grant has ended.
+            biased;
             () = out.closed() => break,
             () = door.draining() => Err(ending()),
+            ended = asking.ended() => Err(ended),
             change = watch.next() => change.map(wire::watch_response),
         };
         let ended = change.is_err();

@@ -1,5 +1,6 @@
 //! What changed: requests of changes and watches, and their answers.
 
+use super::robots::robot_pose;
 use super::v1;
 use crate::service::{BlockChange, BoxQuery, Changes, ChangesQuery};
 
@@ -13,7 +14,7 @@ pub fn changes_query(request: &v1::GetChangesRequest) -> ChangesQuery {
         max_y: request.max_y,
         depth: request.depth,
     };
-    ChangesQuery { area, contents: request.contents }
+    ChangesQuery { area, contents: request.contents, robots: false }
 }
 
 /// The query of a watch.
@@ -26,13 +27,13 @@ pub fn watch_query(request: &v1::WatchMapRequest) -> ChangesQuery {
         max_y: request.max_y,
         depth: request.depth,
     };
-    ChangesQuery { area, contents: request.contents }
+    ChangesQuery { area, contents: request.contents, robots: request.robots }
 }
 
 /// The response to a request for changes.
 #[must_use]
 pub fn changes_response(changes: Changes) -> v1::GetChangesResponse {
-    let v1::WatchMapResponse { revision, since, everything, blocks, depth } = watch_response(changes);
+    let v1::WatchMapResponse { revision, since, everything, blocks, depth, .. } = watch_response(changes);
     v1::GetChangesResponse { revision, since, everything, blocks, depth }
 }
 
@@ -45,6 +46,7 @@ pub fn watch_response(changes: Changes) -> v1::WatchMapResponse {
         everything: changes.everything,
         blocks: changes.blocks.into_iter().map(changed_block).collect(),
         depth: changes.depth.into(),
+        robots: changes.robots.into_iter().map(robot_pose).collect(),
     }
 }
 

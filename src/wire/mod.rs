@@ -10,6 +10,7 @@ mod free;
 mod json;
 mod number;
 mod queries;
+mod robots;
 mod scans;
 mod snapshots;
 #[cfg(test)]
@@ -27,8 +28,11 @@ pub use decode::{
 pub use free::{free_response, regions};
 pub use number::JsonNumber;
 pub use queries::{grid_query, map_name, points, region_query, same_map};
+pub use robots::list_robots_response;
 pub use scans::Batch;
-pub use snapshots::{create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name};
+pub use snapshots::{
+    create_snapshot_response, export_form, import_response, list_snapshots_response, snapshot_name, snapshot_wanted,
+};
 
 /// The messages of the package `ubbmap.v1` with their proto3 JSON.
 #[expect(missing_docs, clippy::all, reason = "generated")]

@@ -12,6 +12,14 @@ pub fn snapshot_name(text: &str, field: &str) -> Result<SnapshotName, ServiceErr
     SnapshotName::new(text).map_err(|error| ServiceError::new(ErrorKind::InvalidName, error.to_string()).at(field))
 }
 
+/// The snapshot that a query reads; `None` where its field is empty: the map as it is now.
+///
+/// # Errors
+/// [`ErrorKind::InvalidName`] at `snapshot`.
+pub fn snapshot_wanted(text: &str) -> Result<Option<SnapshotName>, ServiceError> {
+    if text.is_empty() { Ok(None) } else { snapshot_name(text, "snapshot").map(Some) }
+}
+
 /// The response to the taking of a snapshot.
 #[must_use]
 pub fn create_snapshot_response(taken: &StoredSnapshot) -> v1::CreateSnapshotResponse {
@@ -37,7 +45,7 @@ pub fn export_form(request: &v1::ExportMapRequest) -> Result<(Option<SnapshotNam
     let invalid = |field: &str, why: String| {
         Err(ServiceError::new(ErrorKind::InvalidRequest, format!("{field} {why}")).at(field))
     };
-    let snapshot = if request.snapshot.is_empty() { None } else { Some(snapshot_name(&request.snapshot, "snapshot")?) };
+    let snapshot = snapshot_wanted(&request.snapshot)?;
     let mode = match v1::ExportMode::try_from(request.mode) {
         Ok(v1::ExportMode::Unspecified) => None,
         Ok(v1::ExportMode::Trinary) => Some(Nav2Mode::Trinary),

@@ -16,7 +16,7 @@ const FLOORS: [&[&str]; 7] = [
     &["store"],
     &["service"],
     &["wire", "transport"],
-    &["config", "telemetry", "app", "cli", "experiment", "logs", "picture"],
+    &["config", "telemetry", "reload", "app", "cli", "experiment", "logs", "picture"],
 ];
 
 /// Arrows within a floor that are meant: from, to.

@@ -18,20 +18,20 @@ PROTO = ROOT / "proto"
 class Server:
     """The release binary on an empty directory, with a router of Zenoh on a free port."""
 
-    def __init__(self, binary, store="sled"):
-        self.binary, self.store = binary, store
+    def __init__(self, binary, store="sled", settings=None, zenoh="tcp"):
+        self.binary, self.store, self.settings, self.protocol = binary, store, settings or {}, zenoh
 
     def __enter__(self):
         self.folder = tempfile.TemporaryDirectory()
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
-            self.zenoh = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        environment = {**os.environ, "UBBMAP_ZENOH__MODE": "router", "UBBMAP_ZENOH__LISTEN": self.zenoh, "UBBMAP_LOG": "warn", "UBBMAP_STORE": self.store}
+            self.zenoh = f"{self.protocol}/127.0.0.1:{free.getsockname()[1]}"
+        environment = {**os.environ, "UBBMAP_ZENOH__MODE": "router", "UBBMAP_ZENOH__LISTEN": self.zenoh, "UBBMAP_LOG": "warn", "UBBMAP_STORE": self.store, **self.settings}
         arguments = [self.binary, "serve", "--listen", "127.0.0.1:0", "--data", f"{self.folder.name}/data"]
         self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=environment)
         ready = self.process.stdout.readline()
-        self.url = re.search(r"http://[0-9.:]+", ready).group(0)
-        self.address = self.url.removeprefix("http://")
+        self.url = re.search(r"https?://[0-9.:]+", ready).group(0)
+        self.address = self.url.split("://")[1]
         return self
 
     def __exit__(self, *_):

@@ -204,7 +204,7 @@ fn what_is_no_log_is_refused() {
     let bench = Bench::new();
     let missing = bench.path("missing.gz");
     bench.build(&missing, &[]).fails(1, "missing.gz");
-    bench.build(bench.folder.path(), &[]).fails(1, "directory");
+    bench.build(bench.folder.path(), &[]).fails(1, "is a folder without a metadata.yaml");
     for (name, bytes, words) in [
         ("empty", &b""[..], "no scans"),
         ("text", b"hello there", "no CARMEN message"),

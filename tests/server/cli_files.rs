@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use super::cli_support::{Server, room_json, run};
+use super::cli_support::{Done, Server, room_json, run};
 use super::http_support::{agent, send};
 use std::path::Path;
 use ubbmap::store::read_map_file;
@@ -116,6 +116,28 @@ fn a_link_is_followed_and_what_is_no_file_was_replaced_by_one() {
 }
 
 #[test]
+#[cfg(unix)]
+fn a_full_disk_during_an_export_was_told_as_a_file_that_broke_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("room.jsonl"), room_json(40)).unwrap();
+    let server = serve(folder.path());
+    server.run(&["replay", &path("room.jsonl"), "--map", "room"]).ok();
+    // No file may grow beyond a block: what comes after it is an error of the write.
+    let limited = format!(
+        "trap '' XFSZ; ulimit -f 1; exec \"$0\" map export room --format nav2 --mode scale --out {} --server {}",
+        path("room.zip"),
+        server.url
+    );
+    let output =
+        std::process::Command::new("sh").args(["-c", &limited, env!("CARGO_BIN_EXE_ubbmap")]).output().unwrap();
+    let done = Done::of(output).fails(1, &format!("cannot write {}", path("room.zip")));
+    assert!(done.stderr.contains("File too large"), "{done:?}");
+    assert!(!std::fs::exists(path("room.zip")).unwrap());
+    assert_eq!(server.terminate(), 0);
+}
+
+#[test]
 fn files_are_whole_or_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
@@ -136,6 +158,18 @@ fn files_are_whole_or_not_there() {
     std::fs::write(path("cut.ubbmap"), &std::fs::read(path("built.ubbmap")).unwrap()[..500]).unwrap();
     server.run(&["map", "import", "cut", &path("cut.ubbmap")]).fails(1, "INVALID_FILE");
     server.run(&["map", "import", "cut", &path("none.ubbmap")]).fails(1, "cannot read");
+    // What is no map file is told before anything is sent, whether or not there is a server.
+    std::fs::write(path("notes.txt"), "notes").unwrap();
+    for (file, words) in [
+        (path(""), "is a folder, no map file"),
+        (path("none.ubbmap"), "none.ubbmap: No such file"),
+        (path("notes.txt"), "notes.txt is no map file"),
+    ] {
+        run(["map", "import", "cut", &file, "--server", "http://127.0.0.1:1"])
+            .fails(1, &words.replace("none.ubbmap: ", ""));
+        let done = server.run(&["map", "import", "cut", &file]).fails(1, words);
+        assert!(!done.stderr.contains("server"), "{done:?}");
+    }
     server.run(&["map", "show", "cut"]).fails(1, "no map 'cut'");
     server.run(&["map", "export", "rom", "--out", &path("x.ubbmap")]).fails(1, "did you mean 'room'?");
     server.run(&["map", "export", "room", "--snapshot", "s", "--out", &path("x.ubbmap")]).fails(1, "no snapshot 's'");

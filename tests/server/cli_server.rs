@@ -118,7 +118,7 @@ fn a_server_killed_in_the_middle_of_a_replay_ends_with_the_same_map() {
     // Once more: nothing is sent, nothing changes.
     let again = finish(replay(&server, &log, &flags)).ok().json();
     assert_eq!((&again["sent"], &again["skipped"], &again["applied"]), (&0.into(), &SCANS.into(), &0.into()));
-    assert_eq!(again["revision"].to_string(), server.show("room")["revision"].as_str().unwrap());
+    assert_eq!(again["revision"], server.show("room")["revision"], "a string, as the interface has it");
     assert_eq!(server.terminate(), 0);
 }
 
@@ -156,13 +156,15 @@ fn a_replay_gives_up_on_a_server_that_stays_away() {
     let bench = Bench::new();
     let log = bench.log(300);
     let mut server = bench.serve(ANY);
-    let sending = replay(&server, &log, &["--map", "room", "--rate", "100", "--batch", "4", "--retry-for", "1"]);
+    let sending = replay(&server, &log, &["--map", "room", "--rate", "100", "--batch", "4", "--retry-for", "4"]);
     until("some scans are applied", || {
         server.run(&["map", "show", "room", "--json"]).code == 0 && total(&server, "room") >= 8
     });
     server.child.kill().unwrap();
     server.child.wait().unwrap();
     let done = finish(sending).fails(1, "cannot reach the server at http://127.0.0.1:");
+    let told = done.stderr.lines().find(|line| line.starts_with("waiting for the server, attempt ")).unwrap();
+    assert!(told.contains(": cannot reach the server at "), "{told}");
     assert!(done.stderr.contains("the same command goes on from there"), "{done:?}");
     let acknowledged = done.json()["sent"].as_u64().unwrap();
     assert!(done.stderr.contains(&format!("stopped with {acknowledged} scans acknowledged")), "{done:?}");
@@ -179,6 +181,16 @@ fn a_damaged_log_and_rejected_scans_are_named() {
     let log = bench.log(30);
     let server = bench.serve(ANY);
     let text = std::fs::read_to_string(&log).unwrap();
+    // Nothing is made for a log without a scan that can be read.
+    for (name, text, words) in [
+        ("empty.jsonl", "", "no scans: it has no FLASER"),
+        ("bad.jsonl", "nonsense\n", "line 1"),
+        ("no.jsonl", "{}\n", "no scans"),
+    ] {
+        std::fs::write(bench.path(name), text).unwrap();
+        finish(replay(&server, &bench.text(name), &["--map", "nothing"])).fails(1, words);
+        server.run(&["map", "show", "nothing"]).fails(1, "no map 'nothing'");
+    }
     let cut = bench.text("cut.jsonl");
     std::fs::write(&cut, &text[..text.len() - 100]).unwrap();
     let done = finish(replay(&server, &cut, &["--map", "cut"])).fails(1, "line 31");
@@ -315,7 +327,10 @@ fn a_bad_configuration_ends_with_64() {
 fn two_servers_do_not_share_an_address_or_a_store() {
     let bench = Bench::new();
     let server = bench.serve(ANY);
-    run(["serve", "--listen", server.address(), "--data", &bench.text("other")]).fails(1, server.address());
+    let taken = run(["serve", "--listen", server.address(), "--data", &bench.text("other")]);
+    let taken = taken.fails(1, server.address());
+    assert!(taken.stderr.contains("port 0 takes a free one"), "{taken:?}");
+    run(["demo", "--listen", server.address(), "--exit"]).fails(1, "port 0 takes a free one");
     let done = run(["serve", "--listen", ANY, "--data", &bench.text("data")]);
     assert_eq!((done.code, done.stdout.as_str()), (1, ""), "{done:?}");
     assert_eq!(server.terminate(), 0);
@@ -340,4 +355,13 @@ fn the_demo_maps_a_building_and_ends() {
     assert!(again.stdout.contains("scans applied, 0 rejected"), "{again:?}");
     assert!(again.stdout.contains("m2 proven free") && again.stdout.contains(": guaranteed free"), "{again:?}");
     run(["demo", "--robots", "0"]).fails(2, "--robots");
+}
+
+#[test]
+fn a_demo_of_which_no_port_was_asked_takes_a_free_one_where_its_own_is_taken() {
+    // Somebody else may have it as well.
+    let _taken = std::net::TcpListener::bind("127.0.0.1:8080");
+    let done = run(["demo", "--robots", "1", "--duration", "0.2", "--exit"]).ok();
+    let url = done.stdout.split_whitespace().find_map(|word| word.strip_prefix("http://127.0.0.1:"));
+    assert!(url.is_some_and(|port| !port.starts_with("8080")), "{done:?}");
 }

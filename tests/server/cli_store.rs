@@ -67,6 +67,8 @@ fn a_directory_without_a_store_or_in_use_is_left_alone() {
     for command in ["verify", "rewrite"] {
         store(&[command], &nowhere).fails(1, "there is no store in it");
         store(&[command], directory.path()).fails(1, "there is no store in it");
+        let told = store(&[command, "--json"], &nowhere).fails(1, "there is no store in it").json();
+        assert!(told["error"].as_str().unwrap().contains("there is no store in it"), "{told}");
     }
     assert!(entries(directory.path()).is_empty());
     let used = tempfile::tempdir().unwrap();

@@ -125,8 +125,9 @@ fn events_come_with_every_commit_and_resume_where_the_client_stopped() {
     assert_eq!((id, &first["revision"], &first["blocks"]), (Some(0), &json!("0"), &json!([])));
     for sequence in 1..=3 {
         insert(&site, sequence);
-        let (id, event) = events.event();
+        let (id, mut event) = events.event();
         assert_eq!((id, &event["since"]), (Some(sequence), &json!((sequence - 1).to_string())));
+        assert_eq!(event.as_object_mut().unwrap().remove("robots"), Some(json!([])));
         let told = site.get(&format!("/v1/maps/hall/changes?since={}", sequence - 1)).json();
         assert_eq!(event, told);
     }
@@ -232,4 +233,28 @@ mod base64_of {
         }
         bytes
     }
+}
+
+#[test]
+fn robots_are_listed_and_come_with_the_events_where_they_are_asked_for() {
+    let site = Site::hall();
+    assert_eq!(site.get("/v1/maps/hall/robots").json(), json!({"revision": "0", "robots": []}));
+    insert(&site, 1);
+    let list = site.get("/v1/maps/hall/robots").json();
+    let robot = &list["robots"][0];
+    assert_eq!((&list["revision"], &robot["robot"], &robot["sequence"]), (&json!("1"), &json!("a"), &json!("1")));
+    assert_eq!((&robot["pose"]["x"], &robot["sensor"]), (&json!({"min": 0.2, "max": 0.2}), &json!("default")));
+    let mut asked = Stream::get(&site, "/v1/maps/hall/events?robots=true", "");
+    let mut silent = Stream::get(&site, "/v1/maps/hall/events", "");
+    assert_eq!(asked.event().1["robots"], list["robots"]);
+    assert_eq!(silent.event().1["robots"], json!([]));
+    insert(&site, 2);
+    let told = asked.event().1;
+    assert_eq!(told["robots"], site.get("/v1/maps/hall/robots").json()["robots"]);
+    assert_eq!(told["robots"][0]["pose"]["x"]["min"], 0.4);
+    assert_eq!(silent.event().1["robots"], json!([]));
+    site.get("/v1/maps/hall/events?robots=yes").problem(400, "INVALID_REQUEST");
+    site.get("/v1/maps/hall/changes?since=0&robots=true").problem(400, "INVALID_REQUEST");
+    site.get("/v1/maps/hall/robots?since=0").problem(400, "INVALID_REQUEST");
+    site.get("/v1/maps/nowhere/robots").problem(404, "MAP_NOT_FOUND");
 }

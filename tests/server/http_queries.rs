@@ -32,7 +32,7 @@ fn classes_are_those_of_the_points() {
     let wire = v1::GetClassesRequest {
         map: "hall".to_owned(),
         points: vec![v1::Point { x: Some(1.0), y: Some(1.0) }],
-        depth: None,
+        ..v1::GetClassesRequest::default()
     };
     let headers = [("content-type", "application/x-protobuf"), ("accept", "application/x-protobuf")];
     let answer = site.send("POST", CLASSES, &headers, &wire.encode_to_vec());

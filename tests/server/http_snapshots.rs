@@ -89,3 +89,44 @@ fn blocks_and_their_times_are_in_the_answers() {
     assert_eq!(site.get("/v1/maps/hall/region").json()["blocks"], json!([]));
     site.get("/v1/maps/hall/region?blocks=1").problem(400, "INVALID_REQUEST");
 }
+
+#[test]
+fn rasters_and_questions_of_a_snapshot_stay_as_they_were() {
+    let site = Site::hall();
+    insert(&site, 1);
+    site.post(SNAPSHOTS, r#"{"name": "one"}"#);
+    let paths = ["grid?depth=6", "tiles/0/0/0.png", "tiles/1/1/0.npy", "region?depth=5"];
+    let ask = |path: &str, more: &str| {
+        let mark = if path.contains('?') { '&' } else { '?' };
+        let more = if more.is_empty() { String::new() } else { format!("{mark}{more}") };
+        site.get(&format!("/v1/maps/hall/{path}{more}"))
+    };
+    let then: Vec<_> = paths.map(|path| ask(path, "")).into();
+    for sequence in 2..5 {
+        let mut scan = ring("a", Some(sequence));
+        scan["pose"]["x"] = json!({"min": 0.5 * sequence as f64, "max": 0.5 * sequence as f64});
+        site.post("/v1/maps/hall/scans", &scan.to_string());
+    }
+    for (path, then) in paths.iter().zip(&then) {
+        let kept = ask(path, "snapshot=one");
+        assert_eq!(kept.status, 200, "{path}");
+        assert_ne!(ask(path, "").body, then.body, "{path}");
+        if path.starts_with("region") {
+            assert_eq!(kept.json()["leaves"], then.json()["leaves"]);
+        } else {
+            assert_eq!((&kept.body, kept.header("ubbmap-revision")), (&then.body, Some("1")), "{path}");
+        }
+        assert_eq!(kept.header("etag"), then.header("etag"), "{path}");
+        assert_eq!(ask(path, "snapshot=").problem(400, "INVALID_REQUEST").0, "snapshot");
+        assert_eq!(ask(path, "snapshot=two").problem(404, "SNAPSHOT_NOT_FOUND").0, "snapshot");
+        assert_eq!(ask(path, "snapshot=a%20b").problem(400, "INVALID_NAME").0, "snapshot");
+    }
+    let tag = then[1].header("etag").unwrap();
+    let again = site.send("GET", "/v1/maps/hall/tiles/0/0/0.png?snapshot=one", &[("if-none-match", tag)], b"");
+    assert_eq!((again.status, again.body.len()), (304, 0));
+    let points = r#"{"points": [{"x": 4.5, "y": 0}], "snapshot": "one"}"#;
+    assert_eq!(site.post("/v1/maps/hall/classes", points).json()["classes"], json!([5]));
+    let disc = r#"{"regions": [{"disc": {"center": {"x": 4.5, "y": 0}, "radius": 0.1}}], "snapshot": "one"}"#;
+    let answer = site.post("/v1/maps/hall/guaranteed-free", disc).json();
+    assert_eq!((&answer["revision"], &answer["results"][0]["reason"]), (&json!("1"), &json!("REASON_UNKNOWN")));
+}

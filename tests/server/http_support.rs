@@ -21,7 +21,7 @@ pub struct Site {
     pub store: Arc<TestStore>,
     pub runtime: Runtime,
     pub server: Option<Server>,
-    agent: Agent,
+    pub agent: Agent,
     url: String,
 }
 

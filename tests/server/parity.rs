@@ -88,6 +88,8 @@ fn answered() -> Vec<Call> {
         Call::GetChanges(from(json!({"map": "hall", "since": 1, "contents": true, "depth": 4, "min_x": 0.5}))),
         Call::GetChanges(from(json!({"map": "hall", "since": 77}))),
         Call::GetRegion(from(json!({"map": "hall", "depth": 3, "blocks": true, "min_x": 0.5}))),
+        Call::ListRobots(from(json!({"map": "hall"}))),
+        Call::ListRobots(from(json!({"map": "plain"}))),
         Call::DeleteMap(from(json!({"map": "plain"}))),
         Call::ListMaps,
     ]
@@ -108,6 +110,13 @@ fn answered_kept() -> Vec<Call> {
         Call::ExportMap(from(
             json!({"map": "hall", "format": "EXPORT_FORMAT_NAV2", "depth": 4, "mode": "EXPORT_MODE_SCALE"}),
         )),
+        Call::GetClasses(from(
+            json!({"map": "hall", "snapshot": "one", "points": [{"x": 0, "y": 0}, {"x": 3, "y": 0}]}),
+        )),
+        Call::GetRegion(from(json!({"map": "hall", "snapshot": "one", "depth": 3, "blocks": true}))),
+        Call::GetGrid(from(json!({"map": "hall", "snapshot": "one", "depth": 5}))),
+        Call::GetTile(from(json!({"map": "hall", "snapshot": "Two.2", "z": 1, "x": 1, "y": 0}))),
+        Call::CheckGuaranteedFree(from(json!({"map": "hall", "snapshot": "one", "regions": [disc(0.0), disc(3.0)]}))),
         Call::RestoreSnapshot(from(named("one"))),
         Call::GetMap(from(json!({"map": "hall"}))),
         Call::GetChanges(from(json!({"map": "hall", "since": 2, "contents": true, "depth": 4}))),
@@ -138,6 +147,8 @@ fn refused() -> Vec<(ErrorKind, Call)> {
         (Kind::MapNotFound, Call::DeleteMap(from(json!({"map": "nowhere"})))),
         (Kind::MapNotFound, Call::GetTile(from(json!({"map": "nowhere"})))),
         (Kind::MapNotFound, Call::GetChanges(from(json!({"map": "nowhere", "since": 0})))),
+        (Kind::MapNotFound, Call::ListRobots(from(json!({"map": "nowhere"})))),
+        (Kind::InvalidName, Call::ListRobots(from(json!({"map": "Hall"})))),
         (Kind::MapExists, create("hall", json!({"depth": 9}))),
         (Kind::InvalidName, Call::GetMap(from(json!({"map": "Hall"})))),
         (Kind::InvalidName, create("-a", json!({}))),
@@ -195,6 +206,14 @@ fn refused_kept() -> Vec<(ErrorKind, Call)> {
         (Kind::SnapshotNotFound, Call::RestoreSnapshot(from(named("hall", "three")))),
         (Kind::SnapshotNotFound, Call::DeleteSnapshot(from(named("hall", "three")))),
         (Kind::SnapshotNotFound, export(json!({"snapshot": "three"}))),
+        (Kind::SnapshotNotFound, Call::GetClasses(from(json!({"map": "hall", "snapshot": "three", "points": []})))),
+        (Kind::SnapshotNotFound, Call::GetRegion(from(json!({"map": "hall", "snapshot": "three"})))),
+        (Kind::SnapshotNotFound, Call::GetGrid(from(json!({"map": "hall", "snapshot": "three"})))),
+        (Kind::SnapshotNotFound, Call::GetTile(from(json!({"map": "hall", "snapshot": "three"})))),
+        (Kind::SnapshotNotFound, Call::CheckGuaranteedFree(from(json!({"map": "hall", "snapshot": "three"})))),
+        (Kind::InvalidName, Call::GetGrid(from(json!({"map": "hall", "snapshot": "-a"})))),
+        (Kind::InvalidName, Call::GetTile(from(json!({"map": "hall", "snapshot": "-a"})))),
+        (Kind::RegionTooLarge, Call::GetGrid(from(json!({"map": "hall", "snapshot": "one"})))),
         (Kind::SnapshotExists, Call::CreateSnapshot(from(named("hall", "one")))),
         (Kind::TooManySnapshots, Call::CreateSnapshot(from(named("hall", "three")))),
         (Kind::InvalidName, Call::CreateSnapshot(from(named("hall", "a b")))),
@@ -345,12 +364,15 @@ fn a_damaged_map_is_the_same_on_all_transports() {
     assert_eq!(same("a damaged map", told).unwrap_err().code, "MAP_DAMAGED");
 }
 
-/// Kinds that only one transport knows, and where their tests are.
-const ELSEWHERE: [ErrorKind; 4] = [
+/// Kinds that not every transport knows, and where their tests are.
+const ELSEWHERE: [ErrorKind; 7] = [
+    ErrorKind::Unauthenticated,      // access_routes
+    ErrorKind::PermissionDenied,     // access_routes
     ErrorKind::UnsupportedMediaType, // http_scans
     ErrorKind::NotAcceptable,        // http_queries
     ErrorKind::MethodNotAllowed,     // http_system
     ErrorKind::AnotherServer,        // zenoh_calls
+    ErrorKind::TlsRequired,          // tls_calls
 ];
 
 /// Every kind; one that is added does not compile until it has its place here.
@@ -380,11 +402,14 @@ fn every_kind() -> Vec<ErrorKind> {
         Kind::UnsupportedMediaType => Some(Kind::NotAcceptable),
         Kind::NotAcceptable => Some(Kind::MethodNotAllowed),
         Kind::MethodNotAllowed => Some(Kind::RouteNotFound),
-        Kind::RouteNotFound => Some(Kind::Busy),
+        Kind::RouteNotFound => Some(Kind::Unauthenticated),
+        Kind::Unauthenticated => Some(Kind::PermissionDenied),
+        Kind::PermissionDenied => Some(Kind::Busy),
         Kind::Busy => Some(Kind::ShuttingDown),
         Kind::ShuttingDown => Some(Kind::Timeout),
         Kind::Timeout => Some(Kind::AnotherServer),
-        Kind::AnotherServer => Some(Kind::MapDamaged),
+        Kind::AnotherServer => Some(Kind::TlsRequired),
+        Kind::TlsRequired => Some(Kind::MapDamaged),
         Kind::MapDamaged => Some(Kind::StoreFailed),
         Kind::StoreFailed => Some(Kind::Internal),
         Kind::Internal => None,

@@ -29,6 +29,7 @@ pub enum Call {
     GetTile(v1::GetTileRequest),
     CheckGuaranteedFree(v1::CheckGuaranteedFreeRequest),
     GetChanges(v1::GetChangesRequest),
+    ListRobots(v1::ListRobotsRequest),
     /// Bytes that are no message, where classes are asked for.
     Broken(Vec<u8>),
     CreateSnapshot(v1::CreateSnapshotRequest),
@@ -115,7 +116,7 @@ fn told<M: Serialize>(message: &M) -> Value {
 fn forget_times(value: &mut Value) {
     match value {
         Value::Object(fields) => {
-            for time in ["created", "changed", "last_change"] {
+            for time in ["created", "changed", "last_change", "received"] {
                 fields.remove(time);
             }
             fields.values_mut().for_each(forget_times);
@@ -148,8 +149,12 @@ fn rest(site: &Site, call: &Call) -> Outcome {
         Call::GetRegion(r) => rest_query::<v1::GetRegionResponse>(site, &r.map, "region", r),
         Call::GetGrid(r) => rest_query::<v1::GetGridResponse>(site, &r.map, "grid", r),
         Call::GetChanges(r) => rest_query::<v1::GetChangesResponse>(site, &r.map, "changes", r),
+        Call::ListRobots(r) => {
+            rest_json::<v1::ListRobotsResponse>(site, "GET", &format!("/v1/maps/{}/robots", r.map), "")
+        }
         Call::GetTile(r) => {
-            let path = format!("/v1/maps/{}/tiles/{}/{}/{}.pb", r.map, r.z, r.x, r.y);
+            let snapshot = if r.snapshot.is_empty() { String::new() } else { format!("?snapshot={}", r.snapshot) };
+            let path = format!("/v1/maps/{}/tiles/{}/{}/{}.pb{snapshot}", r.map, r.z, r.x, r.y);
             let answer = site.get(&path);
             if answer.status == 200 {
                 return Ok(told(&v1::GetTileResponse::decode(&answer.body[..]).unwrap()));
@@ -226,7 +231,8 @@ fn rest_query<T: DeserializeOwned + Serialize>(
     let text = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
     let query: Vec<String> = fields
         .iter()
-        .filter(|(name, _)| *name != "map")
+        // An empty text is one that was left out.
+        .filter(|(name, value)| *name != "map" && *value != "")
         .map(|(name, value)| format!("{name}={}", text(value)))
         .collect();
     rest_json::<T>(site, "GET", &format!("/v1/maps/{map}/{what}?{}", query.join("&")), "")
@@ -275,6 +281,7 @@ fn grpc(site: &Site, mut client: Client, call: &Call) -> Outcome {
             Call::GetTile(r) => of(client.get_tile(r).await),
             Call::CheckGuaranteedFree(r) => of(client.check_guaranteed_free(r).await),
             Call::GetChanges(r) => of(client.get_changes(r).await),
+            Call::ListRobots(r) => of(client.list_robots(r).await),
             Call::CreateSnapshot(r) => of(client.create_snapshot(r).await),
             Call::ListSnapshots(r) => of(client.list_snapshots(r).await),
             Call::RestoreSnapshot(r) => of(client.restore_snapshot(r).await),
@@ -318,18 +325,23 @@ async fn over_zenoh(session: &Session, call: &Call) -> Outcome {
         Call::GetMap(r) => zenoh_call::<v1::GetMapResponse>(session, &map(&r.map, ""), r).await,
         Call::ListMaps => zenoh_call::<v1::ListMapsResponse>(session, "ubbmap/*", &v1::ListMapsRequest {}).await,
         Call::DeleteMap(r) => zenoh_call::<v1::DeleteMapResponse>(session, &map(&r.map, "/delete"), r).await,
-        Call::InsertScans(r) => zenoh_call::<v1::InsertScansResponse>(session, &map(&r.map, "/insert/amr-7"), r).await,
+        Call::InsertScans(r) => {
+            let robot = r.scans.first().map_or("amr-7", |scan| scan.robot.as_str());
+            zenoh_call::<v1::InsertScansResponse>(session, &map(&r.map, &format!("/insert/{robot}")), r).await
+        }
         Call::GetClasses(r) => zenoh_call::<v1::GetClassesResponse>(session, &map(&r.map, "/classes"), r).await,
         Call::GetRegion(r) => zenoh_call::<v1::GetRegionResponse>(session, &map(&r.map, "/region"), r).await,
         Call::GetGrid(r) => zenoh_call::<v1::GetGridResponse>(session, &map(&r.map, "/grid"), r).await,
         Call::GetTile(r) => {
             let rest = format!("/tiles/{}/{}/{}", r.z, r.x, r.y);
-            zenoh_bytes::<v1::GetTileResponse>(session, &map(&r.map, &rest), b"").await
+            let snapshot = if r.snapshot.is_empty() { String::new() } else { format!("?snapshot={}", r.snapshot) };
+            zenoh_bytes::<v1::GetTileResponse>(session, &map(&r.map, &(rest + &snapshot)), b"").await
         }
         Call::CheckGuaranteedFree(r) => {
             zenoh_call::<v1::CheckGuaranteedFreeResponse>(session, &map(&r.map, "/guaranteed-free"), r).await
         }
         Call::GetChanges(r) => zenoh_call::<v1::GetChangesResponse>(session, &map(&r.map, "/changes"), r).await,
+        Call::ListRobots(r) => zenoh_call::<v1::ListRobotsResponse>(session, &map(&r.map, "/robots"), r).await,
         Call::Broken(bytes) => zenoh_bytes::<v1::GetClassesResponse>(session, &map("hall", "/classes"), bytes).await,
         Call::Nothing => zenoh_bytes::<v1::ListSnapshotsResponse>(session, &map("hall", "/nothing"), b"").await,
         other => panic!("not on Zenoh: {other:?}"),

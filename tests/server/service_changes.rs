@@ -49,7 +49,7 @@ impl Copy {
 }
 
 fn contents(area: BoxQuery) -> ChangesQuery {
-    ChangesQuery { area, contents: true }
+    ChangesQuery { area, contents: true, robots: false }
 }
 
 async fn insert(service: &MapService, name: &MapName, scan: ScanInput) -> u64 {
@@ -81,7 +81,8 @@ async fn changes_name_the_blocks_that_the_store_was_given_since() {
     assert!(service.changes(&name, 13, &ChangesQuery::default()).await.unwrap().everything);
     let missing = service.changes(&map_name("nowhere"), 0, &ChangesQuery::default()).await.unwrap_err();
     assert_eq!(missing.kind, ErrorKind::MapNotFound);
-    let deep = ChangesQuery { area: BoxQuery { depth: Some(9), ..BoxQuery::default() }, contents: false };
+    let area = BoxQuery { depth: Some(9), ..BoxQuery::default() };
+    let deep = ChangesQuery { area, ..ChangesQuery::default() };
     assert_eq!(service.changes(&name, 0, &deep).await.unwrap_err().kind, ErrorKind::DepthOutOfRange);
 }
 
@@ -131,7 +132,7 @@ async fn blocks_tell_the_revision_and_the_time_of_their_last_change() {
         let name = map_name("hall");
         service.create_map(&name, config()).await.unwrap();
         let whole = BoxQuery::default();
-        let empty = service.region_with(&name, &whole, true).await.unwrap();
+        let empty = service.view(&name, None).await.unwrap().region(&whole, true).await.unwrap();
         assert_eq!((empty.last_change, empty.blocks.len()), (None, 0));
         assert_eq!(service.map(&name).await.unwrap().last_change, None);
         let mut times = vec![now()];
@@ -142,8 +143,8 @@ async fn blocks_tell_the_revision_and_the_time_of_their_last_change() {
         for (at, service) in [&service, &keeping.service(ServiceSettings::default())].into_iter().enumerate() {
             for depth in [8, 3, 2, 1, 0] {
                 let area = BoxQuery { depth: Some(depth), ..whole };
-                let region = service.region_with(&name, &area, true).await.unwrap();
-                let query = ChangesQuery { area, contents: false };
+                let region = service.view(&name, None).await.unwrap().region(&area, true).await.unwrap();
+                let query = ChangesQuery { area, ..ChangesQuery::default() };
                 let changes = service.changes(&name, 0, &query).await.unwrap();
                 assert_eq!(region.blocks, changes.blocks, "{} {at} at depth {depth}", keeping.what);
                 assert!(!region.blocks.is_empty());
@@ -158,10 +159,10 @@ async fn blocks_tell_the_revision_and_the_time_of_their_last_change() {
             }
             // The first scan alone reaches so far to the left; no scan into the corner.
             let left = BoxQuery { max_x: Some(-6.5), min_y: Some(-1.0), max_y: Some(1.0), ..whole };
-            let region = service.region_with(&name, &left, true).await.unwrap();
+            let region = service.view(&name, None).await.unwrap().region(&left, true).await.unwrap();
             assert!(region.last_change.unwrap() <= times[2], "{region:?}");
             let corner = BoxQuery { min_x: Some(9.0), min_y: Some(9.0), ..whole };
-            let region = service.region_with(&name, &corner, true).await.unwrap();
+            let region = service.view(&name, None).await.unwrap().region(&corner, true).await.unwrap();
             assert_eq!((region.last_change, region.blocks.len()), (None, 0));
         }
     }
@@ -222,7 +223,7 @@ async fn a_box_in_which_nothing_changes_is_quiet() {
     let (service, name) = hall(&store, ServiceSettings::default()).await;
     // The scans below reach 3 m about the middle; this corner lies beyond.
     let corner = BoxQuery { min_x: Some(9.0), min_y: Some(9.0), ..BoxQuery::default() };
-    let mut watch = service.watch(&name, None, ChangesQuery { area: corner, contents: false }).await.unwrap();
+    let mut watch = service.watch(&name, None, ChangesQuery { area: corner, ..ChangesQuery::default() }).await.unwrap();
     let first = next(&mut watch).await;
     assert_eq!((first.since, first.revision, first.blocks.len()), (0, 0, 0));
     for step in 0..255 {

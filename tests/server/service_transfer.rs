@@ -296,6 +296,9 @@ async fn a_map_for_nav2_says_free_exactly_where_the_grid_is_below_unknown() {
             let map = Nav2Map::of(&file.bytes);
             assert_eq!((map.text("image"), map.text("negate"), map.text("mode")), ("map.pgm", "0", "trinary"));
             assert_eq!(map.value("resolution"), grid.cell_size);
+            // Leaves of 0.1 m begin at tenths; a sum of binary numbers wrote -24.699999999999818.
+            let origin = map.text("origin").trim_matches(['[', ']']).split(", ");
+            assert!(origin.clone().count() == 3 && origin.clone().all(|word| word.len() < 7), "{}", map.text("origin"));
             let part = map.part_of(&grid, unknown);
             let expected = part.iter().map(|class| match class.cmp(&unknown) {
                 std::cmp::Ordering::Less => 0,

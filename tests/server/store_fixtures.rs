@@ -146,7 +146,7 @@ fn has_snapshots(store: &SledStore) {
     store.delete_snapshot(id, &named("first")).unwrap();
 }
 
-fn unpacked(fixture: &str) -> tempfile::TempDir {
+pub fn unpacked(fixture: &str) -> tempfile::TempDir {
     let directory = tempfile::tempdir().unwrap();
     for file in fs::read_dir(fixtures().join(fixture)).unwrap().map(|entry| entry.unwrap().path()) {
         let stored = file.file_name().unwrap().to_str().unwrap().trim_end_matches(".zst").replace("__", "/");

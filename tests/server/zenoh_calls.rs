@@ -109,6 +109,8 @@ fn what_every_commit_changed_is_published() {
             let change = v1::WatchMapResponse::decode(&*sample.payload().to_bytes()).unwrap();
             assert_eq!((change.since, change.revision), (last.revision, inserted.revision));
             assert!(!change.blocks.is_empty());
+            let robot = change.robots.first().unwrap();
+            assert_eq!((robot.robot.as_str(), robot.sequence, robot.revision), ("a", Some(step), change.revision));
             let selector = format!("ubbmap/hall/changes?since={}", last.revision);
             let told: v1::GetChangesResponse = answer(&session, &selector, &v1::GetMapRequest::default()).await;
             assert_eq!(told.blocks, change.blocks);

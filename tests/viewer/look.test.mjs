@@ -164,7 +164,7 @@ test('outlines are the nodes that the server gives, down to the depth chosen', a
   const inked = async (x, y) => {
     const [left, top] = await site.pixelOf(x, y, box);
     return site.page.evaluate(([left, top]) => {
-      const data = document.querySelector('canvas.outlines').getContext('2d').getImageData(Math.round(left) - 1, Math.round(top) - 1, 3, 3).data;
+      const data = document.querySelector('.outlines canvas').getContext('2d').getImageData(Math.round(left) - 1, Math.round(top) - 1, 3, 3).data;
       return data.some((value, at) => at % 4 === 3 && value > 0);
     }, [left, top]);
   };
@@ -191,7 +191,7 @@ test('outlines are the nodes that the server gives, down to the depth chosen', a
   await site.says('outlines-note', '');
   // Drawn with the next frame.
   await site.page.waitForFunction(() => {
-    const canvas = document.querySelector('canvas.outlines');
+    const canvas = document.querySelector('.outlines canvas');
     return !canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some((value) => value > 0);
   });
   await site.close();

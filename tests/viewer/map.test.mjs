@@ -249,6 +249,33 @@ test('a map that is deleted is said to be gone, and found again when it is made 
   await server.ask('DELETE', '/v1/maps/brief');
 });
 
+test('until it is touched the page shows all that is mapped, as that grows', async () => {
+  await server.create('grows', CONFIG);
+  const room = (x) => scan(x, 0, 0, [[x - 2, -2, x + 2, -2], [x + 2, -2, x + 2, 2], [x + 2, 2, x - 2, 2], [x - 2, 2, x - 2, -2]]);
+  await server.insert('grows', [room(0)]);
+  const site = await Site.open(browser, server);
+  const sees = async (x) => {
+    const { min_x, max_x } = await site.view();
+    return min_x < x && max_x > x;
+  };
+  assert.ok(!(await sees(20)));
+  await server.insert('grows', [room(20)]);
+  for (let look = 0; look < 30 && !(await sees(22)); look++) await site.page.waitForTimeout(300);
+  assert.ok((await sees(-2)) && (await sees(22)));
+  // From then on it stays where it was put.
+  await site.point(10, 0);
+  await site.page.mouse.wheel(0, -300);
+  await site.page.waitForTimeout(600);
+  const put = await site.place();
+  await server.insert('grows', [room(-20)]);
+  await site.at(3);
+  await site.page.waitForTimeout(3000);
+  const { x, y, r } = await site.place();
+  assert.deepEqual([x, y, r], [put.x, put.y, put.r]);
+  await site.close();
+  await server.ask('DELETE', '/v1/maps/grows');
+});
+
 test('a server without a map says so, and shows the first that comes', async () => {
   const bare = await new Server().start();
   const site = await Site.open(browser, bare, undefined, { live: false });

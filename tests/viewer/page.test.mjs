@@ -1,4 +1,4 @@
-// The page about the map: light and dark, keys and help, names for those who do not see it, a phone's width, snapshots.
+// The page about the map: light and dark, keys and help, names for those who do not see it, a phone's width.
 
 import assert from 'node:assert/strict';
 import { mkdirSync } from 'node:fs';
@@ -199,66 +199,6 @@ test('on a phone the panels are folded, nothing is wider than the page, and a di
   await site.says('node', new RegExp(`^node ${leaf.depth}/${leaf.x}/${leaf.y} `));
   await page.locator('#fold').tap();
   await picture(site, 'phone');
-  await site.close();
-});
-
-/** A server that has snapshots, as the interface says it, for one that has none yet. */
-async function withSnapshots(page) {
-  const kept = [];
-  let refusal = null;
-  await page.route('**/v1/maps/room/snapshots**', async (route) => {
-    const request = route.request();
-    const [, name, action] = /snapshots(?:\/([^/]+))?(?:\/(\w+))?$/.exec(new URL(request.url()).pathname);
-    const answer = (json, status = 200) => route.fulfill({ status, json });
-    if (refusal !== null && request.method() !== 'GET') return answer(refusal, 409);
-    if (request.method() === 'GET') return answer({ snapshots: kept });
-    if (action === 'restore') return answer({ revision: '99' });
-    if (request.method() === 'DELETE') {
-      kept.splice(kept.findIndex((one) => one.name === name), 1);
-      return route.fulfill({ status: 204 });
-    }
-    const made = { name: request.postDataJSON().name, revision: '28', created: 1732233600 };
-    kept.push(made);
-    return answer(made);
-  });
-  return { kept, refuse: (problem) => (refusal = problem) };
-}
-
-test('where the server has no snapshots there is no panel for them', async (t) => {
-  const { status } = await server.ask('GET', '/v1/maps/room/snapshots');
-  if (status === 200) return t.skip('this server has snapshots');
-  const site = await open();
-  await site.page.waitForTimeout(500);
-  assert.equal(await site.page.locator('#snapshots').isVisible(), false);
-  await site.close();
-});
-
-test('snapshots are taken, restored and deleted, each asked for twice where it destroys', async () => {
-  let stub;
-  const site = await open(DESK, { prepare: async (page) => (stub = await withSnapshots(page)) });
-  const { page } = site;
-  await page.locator('#snapshots').waitFor();
-  await page.locator('#snapshot-name').fill('before-works');
-  await page.locator('#snapshot-name').press('Enter');
-  await site.says('snapshot-note', 'before-works taken at revision 28');
-  await site.says('snapshot-list', /^before-works rev 28/);
-  const restore = page.locator('#snapshot-list button', { hasText: 'Restore' });
-  await restore.click();
-  await page.locator('#snapshot-list button', { hasText: 'Sure?' }).click();
-  await site.says('snapshot-note', 'before-works restored as revision 99');
-  // Asked once and left, it does nothing.
-  await page.locator('#snapshot-list button', { hasText: 'Delete' }).click();
-  await page.locator('#snapshot-name').focus();
-  assert.equal(await page.locator('#snapshot-list button', { hasText: 'Sure?' }).count(), 0);
-  assert.equal(stub.kept.length, 1);
-  await page.locator('#snapshot-list button', { hasText: 'Delete' }).click();
-  await page.locator('#snapshot-list button', { hasText: 'Sure?' }).click();
-  await site.says('snapshot-note', 'before-works deleted');
-  await site.says('snapshot-list', '');
-  stub.refuse({ code: 'SNAPSHOT_EXISTS', detail: 'a snapshot of this name is there' });
-  await page.locator('#snapshot-name').fill('again');
-  await page.locator('#snapshot-take button').click();
-  await site.says('snapshot-note', 'a snapshot of this name is there');
   await site.close();
 });
 

@@ -7,7 +7,7 @@ import path from 'node:path';
 import { fileURLToPath } from 'node:url';
 
 const ROOT = fileURLToPath(new URL('../..', import.meta.url));
-const BINARY = process.env.VIEWER_BINARY ?? path.join(ROOT, 'target/release/ubbmap');
+export const BINARY = process.env.VIEWER_BINARY ?? path.join(ROOT, 'target/release/ubbmap');
 
 export class Server {
   constructor() {
@@ -68,8 +68,8 @@ export class Server {
     return json.revision;
   }
 
-  async classes(map, points, depth) {
-    const { json } = await this.ask('POST', `/v1/maps/${map}/classes`, { points, depth });
+  async classes(map, points, depth, snapshot = '') {
+    const { json } = await this.ask('POST', `/v1/maps/${map}/classes`, { points, depth, snapshot });
     return json.classes;
   }
 

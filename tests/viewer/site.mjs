@@ -1,6 +1,8 @@
 // The page in Chromium: where it looks, what is drawn at a point of the map, and that it behaves: nothing from elsewhere, no errors.
 
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import path from 'node:path';
 import { chromium } from 'playwright-core';
 
 const EXECUTABLE = process.env.VIEWER_CHROMIUM ?? '/usr/bin/chromium';
@@ -14,12 +16,23 @@ export async function launch() {
   return chromium.launch({ executablePath: EXECUTABLE, args: ['--no-sandbox', '--disable-dev-shm-usage', '--disable-gpu'] });
 }
 
+/** A folder whose files stand for those in the binary: to try a bundle without building the server. */
+const BUNDLE = process.env.VIEWER_BUNDLE;
+
+const TYPES = { '.html': 'text/html', '.js': 'text/javascript', '.css': 'text/css', '.svg': 'image/svg+xml' };
+
+function fromBundle(route) {
+  const name = new URL(route.request().url()).pathname.replace(/^\/viewer\//, '').replace(/^\/$/, 'index.html');
+  return route.fulfill({ body: readFileSync(path.join(BUNDLE, name)), contentType: TYPES[path.extname(name)] });
+}
+
 export class Site {
   /** Opens the page and waits until the map is live. `expected`: console errors that are meant. */
   static async open(browser, server, options = DESK, { hash = '', live = true, prepare = null } = {}) {
     const context = await browser.newContext(options);
     const page = await context.newPage();
     const site = new Site(page, server);
+    if (BUNDLE !== undefined) await page.route(/^[^?]*\/(viewer\/.*)?(#.*)?$/, (route) => fromBundle(route));
     if (prepare !== null) await prepare(page);
     await page.goto(`${server.url}/${hash}`);
     if (live) await site.live();
@@ -112,22 +125,35 @@ export class Site {
   }
 
   /** Colours that are drawn at points of the map, as the legend writes them; "" where nothing is drawn. */
-  async colours(points) {
+  async colours(points, layer = 'ol-layer') {
     const { box } = await this.place();
     const pixels = [];
     for (const { x, y } of points) {
       const [left, top] = await this.pixelOf(x, y, box);
       pixels.push([left, top]);
     }
-    return this.page.evaluate((pixels) => {
-      const canvas = document.querySelector('.ol-layer canvas');
-      const ratio = canvas.width / canvas.clientWidth;
+    return this.page.evaluate(([pixels, layer]) => {
+      const canvas = document.querySelector(`.${layer} canvas`);
+      const ratio = canvas.width / canvas.parentElement.clientWidth;
       const context = canvas.getContext('2d');
       return pixels.map(([x, y]) => {
         const [r, g, b, a] = context.getImageData(Math.floor(x * ratio), Math.floor(y * ratio), 1, 1).data;
         return a === 255 ? `rgb(${r}, ${g}, ${b})` : '';
       });
-    }, pixels);
+    }, [pixels, layer]);
+  }
+
+  /** How strongly a layer draws at pixels from a point of the map: 0 nothing, 255 all. */
+  async strength(layer, x, y, offsets) {
+    const { box } = await this.place();
+    const [left, top] = await this.pixelOf(x, y, box);
+    return this.page.evaluate(([layer, left, top, offsets]) => {
+      const canvas = document.querySelector(`.${layer} canvas`);
+      if (canvas === null) return offsets.map(() => 0);
+      const ratio = canvas.width / canvas.parentElement.clientWidth;
+      const context = canvas.getContext('2d');
+      return offsets.map(([dx, dy]) => context.getImageData(Math.floor((left + dx) * ratio), Math.floor((top - dy) * ratio), 1, 1).data[3]);
+    }, [layer, left, top, offsets]);
   }
 
   /** The same within the map's box. */

@@ -76,11 +76,28 @@ export interface ChangedBlock {
   y: number;
 }
 
+export interface Interval {
+  min: number;
+  max: number;
+}
+
+/** A robot at its last applied scan; `received` by the server's clock, seconds. */
+export interface RobotPose {
+  robot: string;
+  stamp: number;
+  sequence?: string;
+  sensor: string;
+  pose: { x: Interval; y: Interval; theta: Interval };
+  revision: string;
+  received: number;
+}
+
 export interface Change {
   revision: string;
   since: string;
   everything: boolean;
   blocks: ChangedBlock[];
+  robots: RobotPose[];
 }
 
 export interface Snapshot {
@@ -106,6 +123,12 @@ export class ApiError extends Error {
   }
 }
 
+/** How far the server's clock is ahead of this one, milliseconds. */
+let ahead = 0;
+
+/** The time by the server's clock, milliseconds since the Unix epoch, to a second or so. */
+export const serverTime = () => Date.now() + ahead;
+
 const HEADER = { accept: 'application/json' };
 
 async function problem(response: Response): Promise<ApiError> {
@@ -119,6 +142,8 @@ async function problem(response: Response): Promise<ApiError> {
 
 async function json<T>(path: string, init: RequestInit = {}): Promise<T> {
   const response = await fetch(path, { ...init, headers: { ...HEADER, ...init.headers } });
+  const time = Date.parse(response.headers.get('date') ?? '');
+  if (!Number.isNaN(time)) ahead = time - Date.now();
   if (!response.ok) throw await problem(response);
   return (await response.json()) as T;
 }
@@ -134,26 +159,36 @@ export const listMaps = async () => (await json<{ maps: MapSummary[] }>('/v1/map
 
 export const getMap = (map: string) => json<MapDetails>(of(map));
 
-export async function getRegion(map: string, box: Bounds, depth: number, signal?: AbortSignal): Promise<Leaf[]> {
+/** Leaves of a box, at most to a depth; `at`: of this snapshot, null: as the map is now. */
+export async function getRegion(map: string, at: string | null, box: Bounds, depth: number, signal?: AbortSignal): Promise<Leaf[]> {
   const query = new URLSearchParams({
     min_x: String(box.min_x),
     min_y: String(box.min_y),
     max_x: String(box.max_x),
     max_y: String(box.max_y),
     depth: String(depth),
+    ...(at === null ? {} : { snapshot: at }),
   });
   return (await json<{ leaves: Leaf[] }>(`${of(map)}/region?${query}`, { signal })).leaves;
 }
 
-export function guaranteedFree(map: string, region: Region, tolerance: number, signal: AbortSignal) {
-  return post<FreeAnswer>(`${of(map)}/guaranteed-free`, { regions: [region], tolerance }, signal);
+export function guaranteedFree(map: string, at: string | null, region: Region, tolerance: number, signal: AbortSignal) {
+  return post<FreeAnswer>(`${of(map)}/guaranteed-free`, { regions: [region], tolerance, snapshot: at ?? '' }, signal);
 }
 
 /** A tile as a NumPy array; `tag` is the one of the classes that are there already. */
-export async function getTile(map: string, z: number, x: number, y: number, tag: string | null): Promise<TileClasses> {
+export async function getTile(
+  map: string,
+  z: number,
+  x: number,
+  y: number,
+  tag: string | null,
+  at: string | null,
+): Promise<TileClasses> {
   const headers: Record<string, string> = tag === null ? {} : { 'if-none-match': tag };
   // The tag is compared here, so the browser need not keep a copy of its own.
-  const response = await fetch(`${of(map)}/tiles/${z}/${x}/${y}.npy`, { headers, cache: 'no-store' });
+  const query = at === null ? '' : `?snapshot=${encodeURIComponent(at)}`;
+  const response = await fetch(`${of(map)}/tiles/${z}/${x}/${y}.npy${query}`, { headers, cache: 'no-store' });
   if (response.status === 304) return { tag, classes: null };
   if (!response.ok) throw await problem(response);
   return { tag: response.headers.get('etag'), classes: npy(new Uint8Array(await response.arrayBuffer())) };
@@ -168,7 +203,7 @@ export function npy(bytes: Uint8Array): Uint8Array {
   return bytes.subarray(start);
 }
 
-export const eventsPath = (map: string, since: string) => `${of(map)}/events?since=${since}`;
+export const eventsPath = (map: string, since: string) => `${of(map)}/events?since=${since}&robots=true`;
 
 export const listSnapshots = async (map: string) =>
   (await json<{ snapshots: Snapshot[] }>(`${of(map)}/snapshots`)).snapshots;

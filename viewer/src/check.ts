@@ -157,7 +157,7 @@ export class Check {
     this.asked = asked;
     const tolerance = get<HTMLInputElement>('tolerance').valueAsNumber;
     try {
-      const answer = await guaranteedFree(this.grid.map.name, region(shape), tolerance, asked.signal);
+      const answer = await guaranteedFree(this.grid.map.name, this.grid.at, region(shape), tolerance, asked.signal);
       if (!asked.signal.aborted) this.answer(answer, tolerance);
     } catch (error) {
       if (asked.signal.aborted) return;

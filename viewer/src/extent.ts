@@ -13,7 +13,7 @@ export async function mapped(grid: Grid): Promise<Bounds | null> {
   const { name, bounds, config, unknown_class: unknown } = grid.map;
   let box = bounds;
   for (let depth = Math.min(6, config.depth); ; depth = Math.min(depth + STEP, config.depth)) {
-    const leaves = await getRegion(name, box, depth);
+    const leaves = await getRegion(name, null, box, depth);
     const deepest = depth === config.depth;
     // A node that is cut shows its maximum, which may be unknown though some of it is free.
     const there = leaves.filter((leaf) => leaf.class !== unknown || (!deepest && leaf.depth === depth && depth > 0));

@@ -8,6 +8,8 @@ export const TILE_LEVELS = 8;
 /** The map's root and its nodes, metres. */
 export class Grid {
   readonly side: number;
+  /** The snapshot that is looked at; null: the map as it is now. */
+  at: string | null = null;
 
   constructor(readonly map: MapSummary) {
     this.side = map.bounds.max_x - map.bounds.min_x;

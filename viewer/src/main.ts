@@ -152,6 +152,7 @@ get('help-open').addEventListener('click', () => help.showModal());
 const KEYS: Record<string, () => void> = {
   v: () => useTool('pan'),
   escape: () => useTool('pan'),
+  h: () => session?.back(),
   d: () => useTool('disc'),
   b: () => useTool('box'),
   p: () => useTool('path'),
@@ -161,6 +162,8 @@ const KEYS: Record<string, () => void> = {
   f: () => void session?.fit(),
   i: () => session?.speak(),
   o: () => outlines.click(),
+  r: () => get<HTMLInputElement>('robots-shown').click(),
+  n: () => session?.robots.next(),
   '[': () => slide(depth, -1),
   ']': () => slide(depth, 1),
   ',': () => slide(tolerance, -1),

@@ -4,7 +4,7 @@ import Layer from 'ol/layer/Layer';
 import type { FrameState } from 'ol/Map';
 import type View from 'ol/View';
 import { type Bounds, type Leaf, getRegion } from './api';
-import { paced } from './dom';
+import { make, paced } from './dom';
 import { type Grid, plural, short } from './grid';
 
 /** Most nodes drawn; where there are more, they are drawn coarser. */
@@ -37,11 +37,17 @@ export class Outlines {
     private readonly note: (text: string) => void,
   ) {
     this.depth = grid.map.config.depth;
-    const canvas = document.createElement('canvas');
-    canvas.className = 'outlines';
+    const canvas = make('canvas');
+    // Within a box of its own: layers above would draw into a bare canvas, and this one would wipe it.
+    const box = make('div', { className: 'outlines' }, canvas);
     // Without a place of its own it would lie below the tiles and push the layers above it down.
-    Object.assign(canvas.style, { position: 'absolute', inset: '0', width: '100%', height: '100%' });
-    this.layer = new Layer({ render: (frame) => this.draw(canvas, frame) });
+    for (const element of [box, canvas]) Object.assign(element.style, { position: 'absolute', inset: '0', width: '100%', height: '100%' });
+    this.layer = new Layer({
+      render: (frame) => {
+        this.draw(canvas, frame);
+        return box;
+      },
+    });
     view.on('change', this.refreshSoon);
   }
 
@@ -93,13 +99,13 @@ export class Outlines {
     const finest = Math.max(0, Math.floor(Math.log2(this.grid.side / narrowest)));
     const target = Math.min(this.depth, finest);
     let depth = Math.min(target, Math.max(0, Math.floor(Math.log2((this.grid.side / width) * Math.sqrt(FIRST)))));
-    let leaves = await getRegion(this.grid.map.name, box, depth, signal);
+    let leaves = await getRegion(this.grid.map.name, this.grid.at, box, depth, signal);
     while (depth < target) {
       const cut = leaves.filter((leaf) => leaf.depth === depth).length;
       const deeper = cut === 0 ? target : depth + Math.floor(Math.log2(MOST / cut) / 2);
       if (deeper <= depth) break;
       depth = Math.min(target, deeper);
-      leaves = await getRegion(this.grid.map.name, box, depth, signal);
+      leaves = await getRegion(this.grid.map.name, this.grid.at, box, depth, signal);
       if (cut === 0) break;
     }
     return { leaves, depth };
@@ -111,13 +117,13 @@ export class Outlines {
     return `${nodes}, drawn to depth ${depth} (${short(this.grid.size(depth))} m): zoom in for finer ones`;
   }
 
-  private draw(canvas: HTMLCanvasElement, frame: FrameState): HTMLElement {
+  private draw(canvas: HTMLCanvasElement, frame: FrameState): void {
     const ratio = frame.pixelRatio;
     const [width, height] = frame.size as [number, number];
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(height * ratio);
     const context = canvas.getContext('2d');
-    if (context === null) return canvas;
+    if (context === null) return;
     const { center, resolution } = frame.viewState;
     const scale = ratio / resolution;
     const left = center[0]! - (width * resolution) / 2;
@@ -134,6 +140,5 @@ export class Outlines {
     context.strokeStyle = this.colour();
     context.lineWidth = 1;
     context.stroke();
-    return canvas;
   }
 }

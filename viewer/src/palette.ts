@@ -36,11 +36,14 @@ function mix(from: Rgb, to: Rgb, part: number): Rgb {
 export class Palette {
   /** One word of pixels a class, as a canvas lies in memory. */
   readonly pixels = new Uint32Array(256);
+  /** What is not there yet is drawn unknown. */
+  readonly blank: number;
   readonly outside: string;
   private readonly colours: Rgb[] = [];
 
   constructor(classes: number, unknown: number, theme: Theme) {
     const stops = STOPS[theme];
+    this.blank = unknown;
     this.outside = stops.outside;
     const part = (cls: number, from: number, to: number) => (to > from ? (cls - from) / (to - from) : 0);
     const bytes = new Uint8ClampedArray(this.pixels.buffer);

@@ -95,7 +95,7 @@ export class Readout {
     const box = this.grid.clip({ min_x: x, min_y: y, max_x: x + bit, max_y: y + bit });
     if (box === null) return null;
     try {
-      const leaves = await getRegion(name, box, config.depth);
+      const leaves = await getRegion(name, this.grid.at, box, config.depth);
       return leaves.find((leaf) => this.within(leaf, [x, y])) ?? null;
     } catch {
       return null;

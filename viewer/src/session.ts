@@ -10,8 +10,9 @@ import KeyboardZoom from 'ol/interaction/KeyboardZoom';
 import VectorLayer from 'ol/layer/Vector';
 import Projection from 'ol/proj/Projection';
 import VectorSource from 'ol/source/Vector';
-import { type Change, type MapDetails, getMap } from './api';
+import { type Change, type MapDetails, getMap, getTile } from './api';
 import { Check, type Tool } from './check';
+import { Difference, pixels } from './difference';
 import { get, make, paced, tell } from './dom';
 import { mapped } from './extent';
 import { Grid, plural, short } from './grid';
@@ -21,10 +22,11 @@ import { Outlines } from './outlines';
 import { Palette, type Theme } from './palette';
 import type { Place } from './place';
 import { Readout } from './readout';
+import { Robots } from './robots';
 import { Scale } from './scale';
-import { Snapshots } from './snapshots';
+import { type Look, NOW, Snapshots } from './snapshots';
 import { colour, nodeStyle } from './styles';
-import { Tiles } from './tiles';
+import { type Fetch, Tiles } from './tiles';
 
 /** Steps of two from the farthest look, the root in 256 pixels, to the closest: a leaf is then 64 pixels wide. */
 const closest = (depth: number) => Math.max(1, depth - 8 + 6);
@@ -39,10 +41,16 @@ const RULES: Record<string, string> = {
 
 export class Session {
   readonly check: Check;
+  readonly robots: Robots;
   private readonly grid: Grid;
   private readonly map: OlMap;
   private readonly view: View;
+  private readonly projection: Projection;
+  private readonly size: () => [number, number];
   private readonly tiles: Tiles;
+  /** What changed, where that is looked at. */
+  private difference: Tiles | null = null;
+  private seen: Look = NOW;
   private readonly outlines: Outlines;
   private readonly readout: Readout;
   private readonly mark: VectorLayer;
@@ -50,6 +58,9 @@ export class Session {
   private readonly snapshots: Snapshots;
   private readonly live: Live;
   private ended = false;
+  /** Nobody has moved the map yet: it shows all that is mapped, as that grows. */
+  private untouched: boolean;
+  private readonly hands = new AbortController();
   private readonly factsSoon = paced(2000, () => void this.facts());
 
   constructor(
@@ -63,7 +74,7 @@ export class Session {
     const { bounds, config, name, revision } = details;
     this.grid = new Grid(details);
     const extent = [bounds.min_x, bounds.min_y, bounds.max_x, bounds.max_y];
-    const projection = new Projection({ code: `ubbmap:${name}`, units: 'm', extent, getPointResolution: (resolution) => resolution });
+    const projection = (this.projection = new Projection({ code: `ubbmap:${name}`, units: 'm', extent, getPointResolution: (resolution) => resolution }));
     this.view = new View({
       projection,
       center: place ? [place.x, place.y] : [(bounds.min_x + bounds.max_x) / 2, (bounds.min_y + bounds.max_y) / 2],
@@ -77,16 +88,17 @@ export class Session {
       smoothResolutionConstraint: false,
       enableRotation: false,
     });
-    const size = () => (this.map.getSize() ?? [1, 1]) as [number, number];
-    this.tiles = new Tiles(this.grid, projection, this.view, this.palette(), size);
+    const size = (this.size = () => (this.map.getSize() ?? [1, 1]) as [number, number]);
+    this.tiles = new Tiles(this.grid, projection, this.view, this.classes(null), this.palette(), size);
     this.outlines = new Outlines(this.grid, this.view, size, () => colour('outline'), (text) => tell(get('outlines-note'), text));
     const node = new Feature();
     node.setStyle(nodeStyle);
     this.mark = new VectorLayer({ source: new VectorSource({ features: [node] }) });
+    this.robots = new Robots(this.grid, this.view, () => (this.untouched = false));
     this.map = new OlMap({
       target: get('map'),
       view: this.view,
-      layers: [this.tiles.layer, this.outlines.layer, this.mark],
+      layers: [this.tiles.layer, this.outlines.layer, this.mark, this.robots.layer],
       controls: controls({ attribution: false, rotate: false }).extend([new Scale()]),
       // Keys are the page's: they work wherever the focus is, but where it types or slides.
       keyboardEventTarget: document,
@@ -99,8 +111,9 @@ export class Session {
     this.map.addLayer(this.check.layer);
     this.legend = new Legend(this.grid);
     this.readout = new Readout(this.grid, this.tiles, node, (cls) => this.legend.mark(cls));
-    this.snapshots = new Snapshots(name);
+    this.snapshots = new Snapshots(name, theme, (look) => this.look(look));
     this.recolour(theme);
+    this.untouched = place === null;
     this.listen(onPlace);
     this.showFacts();
     tell(get('revision'), revision);
@@ -118,7 +131,10 @@ export class Session {
     this.tiles.recolour(palette);
     this.legend.draw(palette);
     get('map').style.background = palette.outside;
+    this.difference?.recolour({ pixels: pixels(theme), blank: 0 });
+    this.snapshots.recolour(theme);
     this.check.recolour();
+    this.robots.recolour();
     this.outlines.layer.changed();
     this.mark.changed();
   }
@@ -147,14 +163,54 @@ export class Session {
   dispose(): void {
     this.ended = true;
     this.live.close();
+    this.hands.abort();
     this.check.dispose();
     this.readout.dispose();
     this.snapshots.dispose();
+    this.robots.dispose();
+    this.difference?.dispose();
     this.outlines.dispose();
     this.tiles.dispose();
     this.map.setTarget(undefined);
     this.map.dispose();
     tell(get('outlines-note'), '');
+  }
+
+  /** The map as it is now. */
+  back(): void {
+    this.snapshots.back();
+  }
+
+  /** Looks at a snapshot, or at what changed. */
+  private look(look: Look): void {
+    const before = this.seen;
+    this.seen = look;
+    this.grid.at = look.at;
+    if (look.at !== before.at) this.tiles.from(this.classes(look.at));
+    if (look.at !== before.at || look.since !== before.since) this.compare(look);
+    this.readout.changed();
+    this.check.again();
+    this.outlines.changed();
+  }
+
+  /** Draws what changed over a map that is faint then. */
+  private compare({ at, since }: Look): void {
+    if (this.difference !== null) {
+      this.map.removeLayer(this.difference.layer);
+      this.difference.dispose();
+      this.difference = null;
+    }
+    this.tiles.layer.setOpacity(since === null ? 1 : 0.4);
+    if (since === null) return;
+    const codes = new Difference(this.details.name, this.details.unknown_class, since, at);
+    const colours = { pixels: pixels(this.theme), blank: 0 };
+    const fetch: Fetch = (z, x, y, tag) => codes.fetch(z, x, y, tag);
+    this.difference = new Tiles(this.grid, this.projection, this.view, fetch, colours, this.size, 'difference-layer');
+    this.map.getLayers().insertAt(1, this.difference.layer);
+  }
+
+  private classes(at: string | null): Fetch {
+    return (z, x, y, tag) => getTile(this.details.name, z, x, y, tag, at);
   }
 
   private palette(): Palette {
@@ -169,6 +225,13 @@ export class Session {
     get('map').addEventListener('pointerleave', (event) => {
       if (event.pointerType === 'mouse') this.readout.move(null);
     });
+    // From the first touch on the map stays where it is put.
+    const touched = () => (this.untouched = false);
+    for (const event of ['pointerdown', 'wheel']) {
+      get('map').addEventListener(event, touched, { signal: this.hands.signal, capture: true, passive: true });
+    }
+    const moves = (event: KeyboardEvent) => !takesArrows(event.target) && /^(Arrow|[-+=]$)/.test(event.key);
+    document.addEventListener('keydown', (event) => moves(event) && touched(), { signal: this.hands.signal, capture: true });
     this.map.on('moveend', () => {
       const [x, y] = this.view.getCenter() as [number, number];
       onPlace({ map: this.details.name, x, y, resolution: this.view.getResolution() ?? 1 });
@@ -177,13 +240,17 @@ export class Session {
 
   private changed(change: Change): void {
     tell(get('revision'), change.revision);
-    if (change.everything) this.tiles.changed(null);
-    else if (change.blocks.length > 0) this.tiles.changed(change.blocks);
-    else return;
+    this.robots.take(change.robots);
+    if (!change.everything && change.blocks.length === 0) return;
+    this.factsSoon();
+    // A snapshot stays as it is.
+    if (this.seen.at !== null) return;
+    const blocks = change.everything ? null : change.blocks;
+    this.tiles.changed(blocks);
+    this.difference?.changed(blocks);
     this.readout.changed();
     this.check.again();
     this.outlines.changed();
-    this.factsSoon();
   }
 
   private state(state: LiveState): void {
@@ -208,6 +275,7 @@ export class Session {
     }
     this.details = details;
     this.showFacts();
+    if (this.untouched) void this.fit();
   }
 
   private showFacts(): void {

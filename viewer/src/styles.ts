@@ -8,6 +8,9 @@ import Style from 'ol/style/Style';
 import type { StyleFunction } from 'ol/style/Style';
 import { getCenter } from 'ol/extent';
 import Point from 'ol/geom/Point';
+import Polygon from 'ol/geom/Polygon';
+import Text from 'ol/style/Text';
+import type { RobotPose } from './api';
 
 let sheet: CSSStyleDeclaration | null = null;
 
@@ -72,4 +75,52 @@ export const witnessStyle: StyleFunction = (feature) => {
 export const nodeStyle: StyleFunction = () => [
   new Style({ stroke: new Stroke({ color: colour('halo'), width: 3 }) }),
   new Style({ stroke: new Stroke({ color: colour('node'), width: 1.25 }) }),
+];
+
+/** Sizes of a robot's marks, pixels. */
+const [DOT, WEDGE] = [5, 26];
+
+/** How finely the end of a wedge is drawn, radians. */
+const STEP = 0.1;
+
+/** The box that holds the pose, the headings from its middle, a dot to be found by from afar, and the name. A robot that is silent is hollow. */
+export const robotStyle: StyleFunction = (feature, resolution) => {
+  const robot = feature.get('robot') as RobotPose | undefined;
+  if (robot === undefined) return [];
+  const { x, y, theta } = robot.pose;
+  const silent = feature.get('silent') === true;
+  const [ink, fill, halo] = [colour('robot'), colour('robot-fill'), colour('halo')];
+  const middle = [(x.min + x.max) / 2, (y.min + y.max) / 2] as [number, number];
+  const steps = Math.max(1, Math.ceil((theta.max - theta.min) / STEP));
+  const rim = Array.from({ length: steps + 1 }, (_, at) => {
+    const angle = theta.min + ((theta.max - theta.min) * at) / steps;
+    return [middle[0] + WEDGE * resolution * Math.cos(angle), middle[1] + WEDGE * resolution * Math.sin(angle)];
+  });
+  const wedge = new Polygon([[middle, ...rim, middle]]);
+  const box = new Polygon([[[x.min, y.min], [x.max, y.min], [x.max, y.max], [x.min, y.max], [x.min, y.min]]]);
+  const dot = (width: number, edge: string, inside: string) =>
+    new Circle({ radius: DOT, stroke: new Stroke({ color: edge, width }), fill: new Fill({ color: inside }), declutterMode: 'none' });
+  return [
+    new Style({ geometry: wedge, stroke: new Stroke({ color: halo, width: 5, lineJoin: 'round' }) }),
+    new Style({ geometry: wedge, stroke: new Stroke({ color: ink, width: 2.5, lineJoin: 'round' }), fill: new Fill({ color: fill }) }),
+    new Style({ geometry: box, stroke: new Stroke({ color: halo, width: 4 }) }),
+    new Style({ geometry: box, stroke: new Stroke({ color: ink, width: 1.5 }), fill: new Fill({ color: fill }) }),
+    new Style({ image: dot(4, halo, halo), zIndex: 1 }),
+    new Style({
+      image: dot(2, ink, silent ? colour('panel') : ink),
+      text: new Text({
+        text: robot.robot,
+        font: '600 12px system-ui, "DejaVu Sans", sans-serif',
+        offsetY: 18,
+        fill: new Fill({ color: colour('text') }),
+        stroke: new Stroke({ color: halo, width: 4 }),
+      }),
+      zIndex: 2,
+    }),
+  ];
+};
+
+export const trailStyle: StyleFunction = () => [
+  new Style({ stroke: new Stroke({ color: colour('halo'), width: 3.5 }) }),
+  new Style({ stroke: new Stroke({ color: colour('robot'), width: 1.5 }) }),
 ];

@@ -1,15 +1,14 @@
 // The map's raster: tiles of classes, coloured here, drawn again in place when they change. A tile's canvas stays the same one, so
-// what was drawn is there until what is new is drawn over it.
+// what was drawn is there until what is new is drawn over it. What changed between two times is such a raster too, of codes.
 
 import TileLayer from 'ol/layer/Tile';
 import type Projection from 'ol/proj/Projection';
 import ImageTile from 'ol/source/ImageTile';
 import TileGrid from 'ol/tilegrid/TileGrid';
 import type View from 'ol/View';
-import { type Bounds, type ChangedBlock, getTile } from './api';
+import type { Bounds, ChangedBlock, TileClasses } from './api';
 import { paced } from './dom';
 import { Grid, TILE_LEVELS } from './grid';
-import type { Palette } from './palette';
 
 const SIDE = 256;
 
@@ -25,6 +24,17 @@ const PACE = 250;
 
 /** After a request that failed, milliseconds. */
 const RETRY = 2000;
+
+/** Where tiles come from; the tag is the one of what is there already. */
+export type Fetch = (z: number, x: number, y: number, tag: string | null) => Promise<TileClasses>;
+
+/** How values are drawn. */
+export interface Colours {
+  /** One word of pixels a value, as a canvas lies in memory. */
+  pixels: Uint32Array;
+  /** The value that is drawn until there is one. */
+  blank: number;
+}
 
 interface Cell {
   z: number;
@@ -54,8 +64,10 @@ export class Tiles {
     private readonly grid: Grid,
     projection: Projection,
     private readonly view: View,
-    private palette: Palette,
+    private fetchTile: Fetch,
+    private colours: Colours,
     private readonly size: () => [number, number],
+    className = 'ol-layer',
   ) {
     const { bounds, config } = grid.map;
     this.deepest = Math.max(0, config.depth - TILE_LEVELS);
@@ -72,7 +84,7 @@ export class Tiles {
       zDirection: 1,
       loader: (z, x, fromTop) => this.load(z, x, 2 ** z - 1 - fromTop),
     });
-    this.layer = new TileLayer({ source, cacheSize: KEPT_BY_LAYER, preload: 1 });
+    this.layer = new TileLayer({ source, className, cacheSize: KEPT_BY_LAYER, preload: 1 });
     view.on('change', this.refreshSoon);
   }
 
@@ -84,8 +96,14 @@ export class Tiles {
     this.refreshSoon();
   }
 
-  recolour(palette: Palette): void {
-    this.palette = palette;
+  /** Takes tiles from elsewhere; what is drawn stays until they are there. A tag is of the contents, wherever they come from. */
+  from(fetchTile: Fetch): void {
+    this.fetchTile = fetchTile;
+    this.changed(null);
+  }
+
+  recolour(colours: Colours): void {
+    this.colours = colours;
     for (const cell of this.cells.values()) this.paint(cell);
     this.layer.changed();
   }
@@ -144,9 +162,12 @@ export class Tiles {
   /** Loads a tile's classes; one that fails stays as it is and is asked for again. */
   private fetch(cell: Cell): Promise<void> {
     cell.loading ??= this.turn(async () => {
-      const wanted = cell.wanted;
+      const { wanted } = cell;
+      const { fetchTile } = this;
       try {
-        const tile = await getTile(this.grid.map.name, cell.z, cell.x, cell.y, cell.tag);
+        const tile = await fetchTile(cell.z, cell.x, cell.y, cell.tag);
+        // Of where tiles came from before; what is wanted now is asked for below.
+        if (fetchTile !== this.fetchTile) throw new Error('late');
         cell.drawn = wanted;
         if (tile.classes !== null) {
           cell.tag = tile.tag;
@@ -198,10 +219,10 @@ export class Tiles {
     if (context === null) return;
     const image = context.createImageData(SIDE, SIDE);
     const pixels = new Uint32Array(image.data.buffer);
-    const colours = this.palette.pixels;
+    const { pixels: colours, blank } = this.colours;
     const { classes } = cell;
     if (classes === null) {
-      pixels.fill(colours[this.grid.map.unknown_class]!);
+      pixels.fill(colours[blank]!);
     } else {
       // Row 0 of the classes is at min_y, row 0 of an image at its top.
       for (let row = 0; row < SIDE; row++) {

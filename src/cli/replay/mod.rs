@@ -7,16 +7,17 @@
 
 pub(super) mod sender;
 
-use super::build::{ScanOptions, open_log};
-use super::client::{Client, ServerOptions, map_name};
+use super::bag::BagFlags;
+use super::build::{ScanOptions, check_first, open_log, tell_choice, tell_left_out};
+use super::client::{Client, ClientError, ServerOptions, map_name};
 use super::options::{MapOptions, SENSOR, SensorOptions, given, map_config};
-use super::output::{Failure, Progress, note, say, say_json};
+use super::output::{Failure, Progress, note, rate_text, say, say_json};
 use crate::logs::{LogReader, LogScan};
 use crate::sensor::Angles;
 use crate::store::{MapName, RobotName, WINDOW_LENGTH};
 use crate::wire::v1;
 use clap::{ArgMatches, Args};
-use sender::{Numbered, Tally, Team};
+use sender::{Numbered, Running, Tally, Team, Waiting};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::num::{NonZeroU64, NonZeroUsize};
@@ -27,6 +28,9 @@ use std::time::{Duration, Instant};
 /// Most robots of one replay: a thread and a connection each.
 const MAX_ROBOTS: usize = 256;
 
+/// How often the progress is shown while nothing happens.
+const SHOW_EVERY: Duration = Duration::from_secs(1);
+
 /// Sends a recorded log to a server; the same command again goes on where it was stopped.
 #[derive(Debug, Args)]
 #[command(
@@ -34,7 +38,7 @@ const MAX_ROBOTS: usize = 256;
     after_help = "Example:\n  ubbmap replay fr079.jsonl.gz --map fr079 --robots 4 --pose-error 0.03,0.7deg"
 )]
 pub(in crate::cli) struct Replay {
-    /// The log: CARMEN or JSON lines, plain or gzip
+    /// The log: CARMEN or JSON lines, plain or gzip; or a ROS 2 bag: MCAP, .db3 or a folder of them
     log: PathBuf,
     /// The map
     #[arg(long, value_name = "NAME", value_parser = map_name)]
@@ -64,6 +68,8 @@ pub(in crate::cli) struct Replay {
     json: bool,
     #[command(flatten)]
     scans: ScanOptions,
+    #[command(flatten)]
+    bag: BagFlags,
     /// Fail if the map is not there, instead of creating it as the flags below and the log describe it
     #[arg(long, help_heading = "Map")]
     existing: bool,
@@ -103,7 +109,11 @@ impl Replay {
         }
         let names = self.robot_names()?;
         let client = Client::new(&self.server)?;
-        let reader = open_log(&self.log)?;
+        let mut reader = open_log(&self.log, &self.bag)?;
+        // A log without a scan makes no map.
+        check_first(&self.log, &reader)?;
+        tell_choice(&reader);
+        let total = self.count()?;
         let known = self.known(&client, &reader)?;
         let done = self.already_done(&names, &known.robots)?;
         let started = Instant::now();
@@ -114,8 +124,10 @@ impl Replay {
             patience,
             batch: usize::from(self.batch),
             whole: self.rate.is_none(),
+            unit: reader.unit(),
         };
-        let (damage, mut tally) = self.send(&team, &names, &done, reader);
+        let (damage, mut tally) = self.send(&team, &names, &done, &mut reader, total);
+        tell_left_out(&reader);
         tally.revision = tally.revision.max(known.revision);
         let failure = tally.failure.take();
         self.report(&tally, started.elapsed())?;
@@ -156,6 +168,7 @@ impl Replay {
         }
         let file = self.log.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let stem = file.trim_end_matches(".gz").trim_end_matches(".jsonl").trim_end_matches(".log");
+        let stem = stem.trim_end_matches(".mcap").trim_end_matches(".db3");
         let allowed = |c: char| if c.is_ascii_alphanumeric() || "_.-".contains(c) { c } else { '_' };
         // "-256of256" is the longest that follows.
         let name: String = stem.chars().map(allowed).take(50).collect();
@@ -169,10 +182,12 @@ impl Replay {
     /// What the map knows of robots. A map that is not there is created; one that is must be as the flags describe it.
     fn known(&self, client: &Client, reader: &LogReader) -> Result<Known, Failure> {
         let patience = Duration::from_secs_f64(self.retry_for.min(10.0));
+        let waiting = Waiting::new();
+        let told = |attempt: u32, error: &ClientError| waiting.failed(attempt, error);
         let found = if self.described {
             None
         } else {
-            match Client::patiently(patience, || false, || client.map(&self.map)) {
+            match Client::patiently(patience, || false, told, || client.map(&self.map)) {
                 Ok(map) => Some((map.revision, map.robots)),
                 Err(error) if error.is("MAP_NOT_FOUND") && !self.existing => None,
                 Err(error) => return Err(client.explain(&self.map, error)),
@@ -182,7 +197,7 @@ impl Replay {
             Some(found) => found,
             None => {
                 let config = map_config(&self.new_map, &self.sensor, reader.sensor())?;
-                let map = Client::patiently(patience, || false, || client.create_map(&self.map, &config))
+                let map = Client::patiently(patience, || false, told, || client.create_map(&self.map, &config))
                     .map_err(|error| client.explain(&self.map, error))?;
                 if !map.existed {
                     note(&format!("created map '{}'", self.map));
@@ -235,17 +250,33 @@ impl Replay {
         Ok(names.iter().map(|name| known.get(name.as_str()).copied().unwrap_or(0)).collect())
     }
 
+    /// The scans of the log, where a rate is kept: bytes are read far ahead of it, so they do not tell how far it is.
+    fn count(&self) -> Result<Option<u64>, Failure> {
+        if self.rate.is_none() {
+            return Ok(None);
+        }
+        let limit = self.limit.map_or(u64::MAX, NonZeroU64::get);
+        let scans = open_log(&self.log, &self.bag)?.take_while(Result::is_ok).map(drop);
+        Ok(Some((0..limit).zip(scans).count() as u64))
+    }
+
     /// Reads the log and hands each scan to its robot; returns what ended the log early, and the counts.
     fn send(
         &self,
         team: &Team,
         names: &[RobotName],
         done: &[u64],
-        mut reader: LogReader,
+        reader: &mut LogReader,
+        total: Option<u64>,
     ) -> (Option<anyhow::Error>, Tally) {
-        let size = std::fs::metadata(&self.log).map_or(0, |file| file.len());
+        let size = total.unwrap_or_else(|| reader.size());
         let read = reader.bytes_read();
         let mut progress = Progress::new(size, "scans", false);
+        let mut show = |tally: &Running| {
+            let (sent, skipped) = (tally.sent.load(Ordering::Relaxed), tally.skipped.load(Ordering::Relaxed));
+            let position = if total.is_some() { sent + skipped } else { read.load(Ordering::Relaxed) };
+            progress.update(position, sent);
+        };
         let mut damage = None;
         let tally = team.run(names, |hand_over, tally| {
             let started = Instant::now();
@@ -265,23 +296,30 @@ impl Replay {
                     tally.skipped.fetch_add(1, Ordering::Relaxed);
                     continue;
                 }
-                self.keep_the_rate(started, handed);
+                self.keep_the_rate(started, handed, || show(tally));
                 handed += 1;
                 let scan = Numbered { line: scan.line, scan: self.wire_scan(scan, &names[robot], sequence) };
                 if !hand_over(robot, scan) {
                     break;
                 }
-                progress.update(read.load(Ordering::Relaxed), tally.sent.load(Ordering::Relaxed));
+                show(tally);
             }
         });
         progress.finish();
         (damage, tally)
     }
 
-    fn keep_the_rate(&self, started: Instant, handed: u64) {
-        if let Some(rate) = self.rate {
-            let due = Duration::try_from_secs_f64(handed as f64 / rate).unwrap_or(Duration::MAX);
-            std::thread::sleep(due.saturating_sub(started.elapsed()));
+    /// Waits until the next scan is due, and tells of the progress meanwhile.
+    fn keep_the_rate(&self, started: Instant, handed: u64, mut show: impl FnMut()) {
+        let Some(rate) = self.rate else { return };
+        let due = Duration::try_from_secs_f64(handed as f64 / rate).unwrap_or(Duration::MAX);
+        loop {
+            let left = due.saturating_sub(started.elapsed());
+            if left.is_zero() {
+                return;
+            }
+            std::thread::sleep(left.min(SHOW_EVERY));
+            show();
         }
     }
 
@@ -317,14 +355,15 @@ impl Replay {
                 "applied": tally.applied,
                 "duplicates": tally.duplicates,
                 "rejected": tally.rejected,
-                "revision": tally.revision,
+                // A string, as 64-bit numbers are in the interface.
+                "revision": tally.revision.to_string(),
                 "seconds": seconds,
             }));
         }
         say(&format!(
-            "{} scans sent in {seconds:.1} s ({:.0}/s): {} applied, {} duplicates, {} rejected; {} were there before; revision {}",
+            "{} scans sent in {seconds:.1} s ({}): {} applied, {} duplicates, {} rejected; {} were there before; revision {}",
             tally.sent,
-            tally.sent as f64 / seconds.max(1e-3),
+            rate_text(tally.sent as f64 / seconds.max(1e-3)),
             tally.applied,
             tally.duplicates,
             tally.rejected,

@@ -8,7 +8,7 @@ use prost::Message;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A request is not made larger than this, bytes: half of what servers take by default.
 const MAX_REQUEST_BYTES: usize = 8 << 20;
@@ -16,7 +16,44 @@ const MAX_REQUEST_BYTES: usize = 8 << 20;
 /// Rejected scans that are named on stderr; the others are counted.
 const REJECTIONS_SHOWN: u64 = 10;
 
-/// A scan to send, with its line in the log (0 for none).
+/// A server that is away or busy for less is not worth a line.
+const WAIT_UNTOLD: Duration = Duration::from_secs(1);
+
+/// How often a line tells of a server that is still away or busy.
+const WAIT_TOLD_EVERY: Duration = Duration::from_secs(5);
+
+/// Tells on stderr that a server is waited for: not at once, and not often.
+#[derive(Debug)]
+pub(in crate::cli) struct Waiting {
+    /// When the next line is due; `None` while the server answers.
+    due: Mutex<Option<Instant>>,
+}
+
+impl Waiting {
+    /// Nobody waits yet.
+    pub(in crate::cli) fn new() -> Self {
+        Self { due: Mutex::new(None) }
+    }
+
+    /// An attempt has failed, and another will follow.
+    pub(in crate::cli) fn failed(&self, attempt: u32, error: &ClientError) {
+        let mut due = self.due.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = Instant::now();
+        let time = *due.get_or_insert(now + WAIT_UNTOLD);
+        if now >= time {
+            *due = Some(now + WAIT_TOLD_EVERY);
+            drop(due);
+            note(&format!("waiting for the server, attempt {}: {error}", attempt.saturating_add(1)));
+        }
+    }
+
+    /// The server has answered.
+    fn over(&self) {
+        *self.due.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+}
+
+/// A scan to send, with its line or number in the log (0 for none).
 pub(in crate::cli) struct Numbered {
     pub(in crate::cli) line: u64,
     pub(in crate::cli) scan: v1::Scan,
@@ -32,6 +69,8 @@ pub(in crate::cli) struct Team {
     pub(in crate::cli) batch: usize,
     /// Wait until a request is full; else send what is there.
     pub(in crate::cli) whole: bool,
+    /// What [`Numbered::line`] counts.
+    pub(in crate::cli) unit: &'static str,
 }
 
 /// What came of it.
@@ -72,12 +111,13 @@ impl Team {
         feed: impl FnOnce(&dyn Fn(usize, Numbered) -> bool, &Running),
     ) -> Tally {
         let running = Running::default();
+        let waiting = Waiting::new();
         std::thread::scope(|scope| {
             let mut queues: Vec<SyncSender<Numbered>> = Vec::new();
             for _ in robots {
                 let (queue, scans) = sync_channel(2 * self.batch);
-                let running = &running;
-                scope.spawn(move || self.robot(&scans, running));
+                let (running, waiting) = (&running, &waiting);
+                scope.spawn(move || self.robot(&scans, running, waiting));
                 queues.push(queue);
             }
             feed(&|robot, scan| queues[robot].send(scan).is_ok() && !running.stopped.load(Ordering::Relaxed), &running);
@@ -86,15 +126,19 @@ impl Team {
         running.into_tally()
     }
 
-    fn robot(&self, scans: &Receiver<Numbered>, running: &Running) {
+    fn robot(&self, scans: &Receiver<Numbered>, running: &Running, waiting: &Waiting) {
         let mut left_over = None;
         while !running.stopped.load(Ordering::Relaxed) {
             let Some(batch) = self.next_batch(scans, &mut left_over) else { return };
             let lines: Vec<u64> = batch.iter().map(|numbered| numbered.line).collect();
             let batch: Vec<v1::Scan> = batch.into_iter().map(|numbered| numbered.scan).collect();
             let stopped = || running.stopped.load(Ordering::Relaxed);
-            match Client::patiently(self.patience, stopped, || self.client.insert(&self.map, &batch)) {
-                Ok(answer) => running.count(&lines, &batch, &answer),
+            let told = |attempt: u32, error: &ClientError| waiting.failed(attempt, error);
+            match Client::patiently(self.patience, stopped, told, || self.client.insert(&self.map, &batch)) {
+                Ok(answer) => {
+                    waiting.over();
+                    running.count(self.unit, &lines, &batch, &answer);
+                }
                 Err(error) => running.fail(error),
             }
         }
@@ -123,7 +167,7 @@ impl Team {
 }
 
 impl Running {
-    fn count(&self, lines: &[u64], scans: &[v1::Scan], answer: &v1::InsertScansResponse) {
+    fn count(&self, unit: &str, lines: &[u64], scans: &[v1::Scan], answer: &v1::InsertScansResponse) {
         let add = |counter: &AtomicU64, count: u64| counter.fetch_add(count, Ordering::Relaxed);
         add(&self.sent, scans.len() as u64);
         add(&self.applied, u64::from(answer.applied));
@@ -131,7 +175,7 @@ impl Running {
         let before = add(&self.rejected, answer.rejected.len() as u64);
         self.revision.fetch_max(answer.revision, Ordering::Relaxed);
         for (rejected, nth) in answer.rejected.iter().zip(before..REJECTIONS_SHOWN) {
-            let line = lines.get(rejected.index as usize).map(|line| format!("line {line}: ")).unwrap_or_default();
+            let line = lines.get(rejected.index as usize).map(|line| format!("{unit} {line}: ")).unwrap_or_default();
             note(&format!("{line}rejected: {} ({})", rejected.detail, rejected.code));
             if nth + 1 == REJECTIONS_SHOWN {
                 note("further rejected scans are counted, not shown");

@@ -2,7 +2,7 @@
 
 use super::generated::map_service_server::MapServiceServer;
 use super::service::MapRpc;
-use crate::service::MapService;
+use crate::transport::access::Guarded;
 use crate::transport::door::Door;
 use std::time::Duration;
 use tonic_health::ServingStatus;
@@ -15,7 +15,7 @@ const LOOK: Duration = Duration::from_secs(1);
 const WHOLE: &str = "";
 
 /// The health service, and a task that keeps it true until the server ends.
-pub fn watched(service: MapService, door: Door) -> HealthServer<impl Health> {
+pub fn watched(service: Guarded, door: Door) -> HealthServer<impl Health> {
     let (reporter, server) = tonic_health::server::health_reporter();
     tokio::spawn(async move {
         loop {

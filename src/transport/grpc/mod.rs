@@ -1,14 +1,15 @@
 //! gRPC: the service `ubbmap.v1.MapService` on the port of REST, with gRPC-Web, reflection and health. What an
 //! operation means is the service's alone.
 
+mod access;
 mod codec;
 mod health;
 mod observe;
 mod service;
 mod status;
 
+use super::access::Guarded;
 use super::door::Door;
-use crate::service::MapService;
 use axum::Router;
 use generated::map_service_server::MapServiceServer;
 use service::MapRpc;
@@ -42,11 +43,7 @@ pub struct GrpcSettings {
 ///
 /// # Errors
 /// When the interface's own description cannot be read.
-pub fn router(
-    service: MapService,
-    settings: GrpcSettings,
-    door: Door,
-) -> Result<Router, tonic_reflection::server::Error> {
+pub fn router(service: Guarded, settings: GrpcSettings, door: Door) -> Result<Router, tonic_reflection::server::Error> {
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(DESCRIPTORS)
@@ -54,7 +51,7 @@ pub fn router(
     };
     let limit = settings.message_bytes;
     let health = health::watched(service.clone(), door.clone());
-    let maps = MapServiceServer::new(MapRpc::new(service, settings, door)).max_decoding_message_size(limit);
+    let maps = MapServiceServer::new(MapRpc::new(settings, door)).max_decoding_message_size(limit);
     let router = tonic::service::Routes::new(maps)
         .add_service(health)
         .add_service(reflection().build_v1()?)
@@ -63,6 +60,7 @@ pub fn router(
         .reset_fallback();
     Ok(router
         .layer(CatchPanicLayer::custom(observe::panicked))
+        .layer(axum::middleware::from_fn_with_state(service, access::admit))
         .layer(axum::middleware::from_fn_with_state(limit, observe::observe))
         .layer(GrpcWebLayer::new()))
 }

@@ -2,6 +2,7 @@
 
 use super::status::{to_status, too_large};
 use crate::service::{ErrorKind, ServiceError};
+use crate::transport::access::Operation;
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::Response as HttpResponse;
@@ -16,30 +17,7 @@ const SECONDS: &str = "ubbmap_grpc_call_seconds";
 const TOTAL: &str = "ubbmap_grpc_calls_total";
 
 /// What begins with this is the interface's own.
-const SERVICE: &str = "/ubbmap.v1.MapService/";
-
-/// The methods of the service: any other word is the client's, and would be a label of its own.
-const METHODS: [&str; 19] = [
-    "CreateMap",
-    "GetMap",
-    "ListMaps",
-    "DeleteMap",
-    "InsertScans",
-    "StreamScans",
-    "GetClasses",
-    "GetRegion",
-    "GetGrid",
-    "GetTile",
-    "CheckGuaranteedFree",
-    "GetChanges",
-    "WatchMap",
-    "CreateSnapshot",
-    "ListSnapshots",
-    "RestoreSnapshot",
-    "DeleteSnapshot",
-    "ExportMap",
-    "ImportMap",
-];
+pub const SERVICE: &str = "/ubbmap.v1.MapService/";
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
@@ -50,7 +28,8 @@ pub fn describe_metrics() {
 /// Times and counts a call. `limit` is that of messages, bytes.
 pub async fn observe(State(limit): State<usize>, request: Request, next: Next) -> Response {
     let asked = request.uri().path().strip_prefix(SERVICE).unwrap_or_default();
-    let method = METHODS.into_iter().find(|method| *method == asked).unwrap_or("other");
+    // Any other word is the client's, and would be a label of its own.
+    let method = Operation::of_method(asked).map_or("other", Operation::method);
     let begun = Instant::now();
     let mut response = next.run(request).await;
     let mut code = Status::from_header_map(response.headers()).map_or(Code::Ok, |status| status.code());

@@ -4,6 +4,7 @@ use super::params::params;
 use super::path::MapPath;
 use super::problem::Problem;
 use super::{App, HttpError, accept, lines, respond};
+use crate::transport::access::OnBehalf;
 use crate::transport::operations;
 use crate::transport::watching::{self, Change};
 use crate::wire::v1;
@@ -25,6 +26,9 @@ const LAST_EVENT_ID: &str = "last-event-id";
 
 const KNOWN: [&str; 7] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents"];
 
+/// Those of a stream of changes.
+const WATCHED: [&str; 8] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents", "robots"];
+
 const REVISION: &str = "a revision, a whole number";
 
 /// How a stream of changes is written.
@@ -37,7 +41,7 @@ enum Form {
 const FORMS: [(&str, Form); 2] = [("text/event-stream", Form::Events), (lines::NDJSON, Form::Lines)];
 
 /// `GET /v1/maps/{map}/changes?since=`
-pub async fn since(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
+pub async fn since(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
     let params = params(request.uri(), &KNOWN)?;
     let form = accept::message(request.headers())?;
@@ -54,15 +58,20 @@ pub async fn since(State(app): State<App>, path: MapPath, request: Request) -> R
         depth: area.depth,
         contents: params.flag("contents")?,
     };
-    let response = operations::get_changes(&app.service, request).await?;
+    let response = operations::get_changes(&caller, request).await?;
     let size = response.blocks.iter().map(|block| size_of_val(block) + block.classes.len()).sum();
     respond::message(form, response, size).await
 }
 
 /// `GET /v1/maps/{map}/events`: server-sent events whose id is the revision, or a line of JSON each.
-pub async fn events(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
+pub async fn events(
+    State(app): State<App>,
+    caller: OnBehalf,
+    path: MapPath,
+    request: Request,
+) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &KNOWN)?;
+    let params = params(request.uri(), &WATCHED)?;
     let form = accept::choose(request.headers(), &FORMS)?;
     let since = match last_event(request.headers())? {
         // It is where the client stopped; the query string is where it once began.
@@ -79,8 +88,9 @@ pub async fn events(State(app): State<App>, path: MapPath, request: Request) -> 
         max_y: area.max_y,
         depth: area.depth,
         contents: params.flag("contents")?,
+        robots: params.flag("robots")?,
     };
-    let changes = watching::begin(&app.service, &app.door, &request).await?;
+    let changes = watching::begin(&caller, &app.door, &request).await?;
     Ok(match form {
         Form::Events => event_stream(changes),
         Form::Lines => lines::response(changes),

@@ -1,6 +1,7 @@
 //! REST: routes, bodies, forms of answers and problems. What an operation means is the service's alone.
 
 mod accept;
+mod access;
 mod body;
 mod changes;
 #[cfg(test)]
@@ -22,8 +23,8 @@ mod system;
 mod transfer;
 mod viewer;
 
+use super::access::Guarded;
 use super::door::Door;
-use crate::service::MapService;
 use axum::Router;
 use axum::routing::{delete, get, post, put};
 use std::sync::Arc;
@@ -57,7 +58,7 @@ pub struct OutsideView {
 
 /// What every handler has.
 struct Shared {
-    service: MapService,
+    service: Guarded,
     settings: HttpSettings,
     door: Door,
     outside: OutsideView,
@@ -66,7 +67,7 @@ struct Shared {
 type App = Arc<Shared>;
 
 /// The routes over a service.
-pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
+pub fn router(service: Guarded, settings: HttpSettings, door: Door, outside: OutsideView) -> Router {
     let shared = Arc::new(Shared { service, settings, door, outside });
     Router::new()
         .route("/", get(viewer::index))
@@ -81,6 +82,7 @@ pub fn router(service: MapService, settings: HttpSettings, door: Door, outside: 
         .route("/v1/maps/{map}/guaranteed-free", post(queries::guaranteed_free))
         .route("/v1/maps/{map}/region", get(queries::region))
         .route("/v1/maps/{map}/grid", get(rasters::grid))
+        .route("/v1/maps/{map}/robots", get(queries::robots))
         .route("/v1/maps/{map}/changes", get(changes::since))
         .route("/v1/maps/{map}/events", get(changes::events))
         .route("/v1/maps/{map}/tiles/{z}/{x}/{y}", get(rasters::tile))

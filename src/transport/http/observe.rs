@@ -1,7 +1,7 @@
 //! Around every request: its place among the requests under way, its time, its metrics, and panics.
 
 use super::problem::HttpError;
-use super::{App, Shared};
+use super::{App, Shared, access};
 use crate::service::ErrorKind;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
@@ -37,7 +37,14 @@ pub async fn observe(State(app): State<App>, request: Request, next: Next) -> Re
     let matched = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let route = matched.unwrap_or_else(|| "none".to_owned());
     let begun = Instant::now();
-    let response = limited(&app, request, next, route == IMPORT).await;
+    let (request, admitted) =
+        if request.uri().path().starts_with(OPERATIONS) { access::admit(&app, request).await } else { (request, true) };
+    let response = if admitted {
+        limited(&app, request, next, route == IMPORT).await
+    } else {
+        // The handler says no; it takes no place for that.
+        next.run(request).await
+    };
     let status = response.status().as_u16().to_string();
     let labels = [("method", method), ("route", route)];
     histogram!(SECONDS, &labels).record(begun.elapsed().as_secs_f64());

@@ -9,6 +9,12 @@ use serde::{Deserialize, Serialize};
 /// Media type of problems.
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
+/// What a client is asked for that showed nothing.
+const CHALLENGE: &str = "Bearer realm=\"ubbmap\"";
+
+/// The same for one whose token is not good.
+const SHOWN_IN_VAIN: &str = "Bearer realm=\"ubbmap\", error=\"invalid_token\"";
+
 /// The body of an error.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
@@ -73,6 +79,11 @@ impl IntoResponse for HttpError {
         *response.status_mut() = StatusCode::from_u16(row.http).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+        if self.0.kind == ErrorKind::Unauthenticated {
+            // RFC 6750, 3: the error is told where something was shown.
+            let challenge = if self.0.field.is_some() { SHOWN_IN_VAIN } else { CHALLENGE };
+            headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge));
+        }
         if let Some(seconds) = row.retry_after {
             headers.insert(header::RETRY_AFTER, HeaderValue::from(seconds));
         }

@@ -1,14 +1,16 @@
 //! Dense rasters: grids of a box and tiles of a node.
 
 use super::body::apart;
-use super::params::{no_params, params};
+use super::params::params;
 use super::path::{MapPath, TilePath};
-use super::{App, HttpError, accept, pictures, respond};
+use super::{HttpError, accept, pictures, respond};
 use crate::service::{ErrorKind, Raster, ServiceError};
+use crate::transport::access::{OnBehalf, Operation};
+use crate::transport::operations;
 use crate::transport::parameters::parse;
 use crate::wire::{self, Encoding};
 use axum::body::Bytes;
-use axum::extract::{Request, State};
+use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -34,10 +36,10 @@ const FORMS: [(&str, Form); 5] = [
     (PNG, Form::Png),
 ];
 
-/// `GET /v1/maps/{map}/grid`
-pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
+/// `GET /v1/maps/{map}/grid`, also of a snapshot
+pub async fn grid(caller: OnBehalf, path: MapPath, request: Request) -> Result<Response, HttpError> {
     let MapPath(map) = path;
-    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format"])?;
+    let params = params(request.uri(), &["min_x", "min_y", "max_x", "max_y", "depth", "format", "snapshot"])?;
     let form = match params.text("format") {
         None => accept::choose(request.headers(), &FORMS)?,
         Some("json") => Form::Json,
@@ -46,7 +48,8 @@ pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Re
         Some("png") => Form::Png,
         Some(_) => return Err(HttpError::invalid("format", "format must be json, npy, png or protobuf")),
     };
-    let raster = app.service.grid(&map, &params.box_query()?).await?;
+    let (query, snapshot) = (params.box_query()?, params.snapshot()?);
+    let raster = operations::view(&caller, Operation::GetGrid, &map, snapshot).await?.grid(&query).await?;
     let place = place(&raster);
     let size = raster.classes.len();
     let response = match form {
@@ -57,9 +60,10 @@ pub async fn grid(State(app): State<App>, path: MapPath, request: Request) -> Re
     Ok((place, response).into_response())
 }
 
-/// `GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png`, `.npy`, `.pb`, with an ETag of the tile's contents.
-pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> Result<Response, HttpError> {
-    no_params(request.uri())?;
+/// `GET /v1/maps/{map}/tiles/{z}/{x}/{y}.png`, `.npy`, `.pb`, with an ETag of the tile's contents; also of a
+/// snapshot.
+pub async fn tile(caller: OnBehalf, path: TilePath, request: Request) -> Result<Response, HttpError> {
+    let params = params(request.uri(), &["snapshot"])?;
     let whole = "a whole number";
     let z = parse("z", &path.z, whole)?;
     let x = parse("x", &path.x, whole)?;
@@ -74,7 +78,8 @@ pub async fn tile(State(app): State<App>, path: TilePath, request: Request) -> R
             return Err(HttpError(ServiceError::new(ErrorKind::NotAcceptable, detail).at("y")));
         }
     };
-    let raster = app.service.tile(&path.map, z, x, y).await?;
+    let raster =
+        operations::view(&caller, Operation::GetTile, &path.map, params.snapshot()?).await?.tile(z, x, y).await?;
     let tag = entity_tag(&raster, form);
     let caching = [(header::ETAG, tag.clone()), (header::CACHE_CONTROL, HeaderValue::from_static("no-cache"))];
     let place = place(&raster);

@@ -5,6 +5,7 @@ use super::params::no_params;
 use super::path::MapPath;
 use super::{App, HttpError, accept, lines, respond};
 use crate::store::MapName;
+use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::scan_stream;
 use crate::wire::{self, Batch};
 use axum::body::Body;
@@ -19,6 +20,7 @@ const WAITING_ACKNOWLEDGEMENTS: usize = 16;
 /// Applies the scans of a body; the answer means that they are durable.
 pub async fn insert(
     State(app): State<App>,
+    caller: OnBehalf,
     path: Result<MapPath, HttpError>,
     request: Request,
 ) -> Result<Response, HttpError> {
@@ -27,14 +29,15 @@ pub async fn insert(
         && body::scan_encoding(&parts.headers).is_ok_and(|form| form == ScanEncoding::Lines)
     {
         let MapPath(map) = path?;
-        return stream(app, &map, &parts, body).await;
+        return stream(app, caller, &map, &parts, body).await;
     }
     let bytes = body::read(&parts.headers, body, app.settings.body_bytes).await?;
     let MapPath(map) = path?;
+    caller.may(Operation::InsertScans, &map)?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::scan_encoding(&parts.headers)?;
-    let most = app.service.settings().max_scans_per_request;
+    let most = caller.settings().max_scans_per_request;
     let named = map.clone();
     let mut batch = body::apart(bytes.len(), move || match encoding {
         ScanEncoding::Lines => Ok(Batch::new(wire::scan_lines(&bytes, most)?)),
@@ -45,21 +48,22 @@ pub async fn insert(
         }
     })
     .await?;
-    let answer = app.service.insert(&map, batch.take_scans()).await?;
+    let answer = caller.insert(&map, batch.take_scans()).await?;
     respond::message(form, batch.response(answer), 0).await
 }
 
 /// Applies scans as their lines come, and answers each with a line when it is durable.
-async fn stream(app: App, map: &MapName, parts: &Parts, body: Body) -> Result<Response, HttpError> {
+async fn stream(app: App, caller: OnBehalf, map: &MapName, parts: &Parts, body: Body) -> Result<Response, HttpError> {
+    caller.may(Operation::StreamScans, map)?;
     no_params(&parts.uri)?;
     body::plain(&parts.headers)?;
     // A map that is not there is a plain problem, and no stream that begins with one.
-    app.service.version(map).await?;
+    caller.version(map).await?;
     let place = app.door.stream()?;
     let scans = lines::scans(body, map.clone(), app.settings.body_bytes);
     let (out, receiver) = mpsc::channel(WAITING_ACKNOWLEDGEMENTS);
     tokio::spawn(async move {
-        scan_stream::run(&app.service, &app.door, app.settings.scans_per_stream, scans, out).await;
+        scan_stream::run(&caller, &app.door, app.settings.scans_per_stream, scans, out).await;
         drop(place);
     });
     Ok(lines::response(receiver))

@@ -2,8 +2,9 @@
 
 use super::{App, HttpError, respond};
 use crate::service::{ErrorKind, ServiceError};
+use crate::transport::access::{Listener, OnBehalf, Operation, Peer};
 use axum::body::Bytes;
-use axum::extract::State;
+use axum::extract::{FromRequestParts, Request, State};
 use axum::http::{Method, Uri};
 use axum::response::Response;
 use serde_json::json;
@@ -35,6 +36,10 @@ const ROUTES: [&str; 23] = [
     "PUT /v1/maps/{map}/import",
 ];
 
+/// What `/readyz` says of a server that lets strangers in.
+const INSECURE: &[u8] = b"{\"status\":\"ready\",\"insecure\":true,\
+    \"warning\":\"anyone who reaches this server may read and change every map: it was started with --insecure\"}";
+
 /// `GET /` for programs.
 pub fn index() -> Response {
     let index = json!({ "name": "ubbmap", "version": env!("CARGO_PKG_VERSION"), "routes": ROUTES });
@@ -57,12 +62,23 @@ pub async fn readyz(State(app): State<App>) -> Result<Response, HttpError> {
     if !(app.outside.reachable)() {
         return Err(HttpError::new(ErrorKind::Timeout, "the server does not reach itself over Zenoh"));
     }
-    Ok(respond::bytes_of(super::accept::JSON, Bytes::from_static(b"{\"status\":\"ready\"}")))
+    let ready: &[u8] = if app.service.is_insecure() { INSECURE } else { b"{\"status\":\"ready\"}" };
+    Ok(respond::bytes_of(super::accept::JSON, Bytes::from_static(ready)))
 }
 
-/// `GET /metrics`
-pub async fn metrics(State(app): State<App>) -> Response {
-    respond::bytes_of("text/plain; version=0.0.4; charset=utf-8", Bytes::from((app.outside.metrics)()))
+/// `GET /metrics`: for those who may read all maps. On a listener for administration it asks nobody who they are, since
+/// that is where the scraper comes to; beside such a listener it is there alone.
+pub async fn metrics(State(app): State<App>, request: Request) -> Result<Response, HttpError> {
+    let listener = request.extensions().get::<Peer>().map(|peer| peer.listener).unwrap_or_default();
+    match listener {
+        Listener::Administration => {}
+        Listener::Public => return Err(route_not_found(request.uri().clone()).await),
+        Listener::Only => {
+            let (mut parts, _) = request.into_parts();
+            OnBehalf::from_request_parts(&mut parts, &app).await?.may_at_all(Operation::ReadMetrics)?;
+        }
+    }
+    Ok(respond::bytes_of("text/plain; version=0.0.4; charset=utf-8", Bytes::from((app.outside.metrics)())))
 }
 
 /// Any path without a route.

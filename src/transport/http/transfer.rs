@@ -4,8 +4,9 @@ use super::body;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
-use super::{App, HttpError, accept, respond};
-use crate::service::{ExportedFile, ServiceError};
+use super::{App, HttpError, accept, access, respond};
+use crate::service::{ErrorKind, ExportedFile, ServiceError};
+use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::{files, operations};
 use crate::wire::v1;
 use axum::body::{Body, Bytes};
@@ -15,7 +16,12 @@ use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 
 /// `GET /v1/maps/{map}/export?format=&snapshot=&depth=&mode=`
-pub async fn export(State(app): State<App>, path: MapPath, request: Request) -> Result<Response, HttpError> {
+pub async fn export(
+    State(app): State<App>,
+    caller: OnBehalf,
+    path: MapPath,
+    request: Request,
+) -> Result<Response, HttpError> {
     let MapPath(map) = path;
     let params = params(request.uri(), &["format", "snapshot", "depth", "mode"])?;
     let (format, media) = match params.text("format") {
@@ -32,15 +38,13 @@ pub async fn export(State(app): State<App>, path: MapPath, request: Request) -> 
     let wanted = v1::ExportMapRequest {
         map: map.to_string(),
         format: format.into(),
-        snapshot: params.text("snapshot").unwrap_or_default().to_owned(),
+        snapshot: params.snapshot()?.to_owned(),
         depth: params.number("depth", "a whole number")?,
         mode: mode.into(),
     };
-    if params.text("snapshot").is_some_and(str::is_empty) {
-        return Err(HttpError::invalid("snapshot", "snapshot must be the name of a snapshot"));
-    }
+    caller.may(Operation::ExportMap, &map)?;
     let place = app.door.transfer()?;
-    let ExportedFile { file_name, revision, bytes } = operations::export_map(&app.service, &wanted).await?;
+    let ExportedFile { file_name, revision, bytes } = operations::export_map(&caller, &wanted).await?;
     let tag = format!("\"{file_name}-{:08x}\"", crc32c::crc32c(&bytes));
     let tag = HeaderValue::try_from(tag).unwrap_or(HeaderValue::from_static("\"\""));
     let disposition = HeaderValue::try_from(format!("attachment; filename=\"{file_name}\""));
@@ -65,15 +69,27 @@ pub async fn export(State(app): State<App>, path: MapPath, request: Request) -> 
 /// `PUT /v1/maps/{map}/import`: the body is the file.
 pub async fn import(
     State(app): State<App>,
+    caller: OnBehalf,
     path: Result<MapPath, HttpError>,
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
+    if let Ok(MapPath(map)) = &path
+        && let Err(refused) = caller.may(Operation::ImportMap, map)
+    {
+        // Nobody holds a whole file in memory for whom nothing is made of it.
+        access::discard(body, &app).await;
+        return Err(refused.into());
+    }
     body::plain(&parts.headers)?;
-    let file = body::collect(body, app.settings.import_bytes).await?;
+    let limit = app.settings.import_bytes;
+    let file = body::collect(body, limit).await.map_err(|error| match error.0.kind {
+        ErrorKind::BodyTooLarge => HttpError(files::too_large(limit)),
+        _ => error,
+    })?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
-    let imported = operations::import_map(&app.service, map.as_str(), file).await?;
+    let imported = operations::import_map(&caller, map.as_str(), file).await?;
     Ok((StatusCode::CREATED, respond::message(form, imported, 0).await?).into_response())
 }

@@ -29,6 +29,7 @@ pub enum Operation {
     Tile([String; 3]),
     GuaranteedFree,
     Changes,
+    Robots,
 }
 
 /// The map and robot of a key of best-effort scans, `{prefix}/{map}/scans/{robot}`.
@@ -65,6 +66,7 @@ fn one_map(rest: &str, key: &str) -> Result<Target, ServiceError> {
         ["tiles", z, x, y] => Operation::Tile([*z, *x, *y].map(str::to_owned)),
         ["guaranteed-free"] => Operation::GuaranteedFree,
         ["changes"] => Operation::Changes,
+        ["robots"] => Operation::Robots,
         _ => {
             let key: String = key.chars().take(200).collect();
             return Err(ServiceError::new(ErrorKind::RouteNotFound, format!("there is nothing at key {key}")));

@@ -5,8 +5,9 @@
 //! full the sender is told that the server is busy.
 
 mod gaps;
+mod guard;
 #[cfg(fuzzing)]
-
+#[allow(missing_docs, reason = "public for the fuzzer alone")]
 pub mod keys;
 #[cfg(not(fuzzing))]
 mod keys;
@@ -15,17 +16,21 @@ mod publish;
 mod queries;
 mod reply;
 mod rivals;
+mod rules;
 mod scans;
 mod settings;
+mod users;
 #[cfg(test)]
 mod zenoh_tests;
 
+use super::access::{Caller, Guarded, OnBehalf, Origin, Peer};
 use super::door::Door;
 use crate::service::{ErrorKind, MapService, ServiceError};
 use ::zenoh::Session;
 use ::zenoh::liveliness::LivelinessToken;
 use ::zenoh::pubsub::Subscriber;
 use ::zenoh::query::{Query, Queryable};
+use guard::Guard;
 use metrics::{counter, describe_counter};
 use queries::Asked;
 use reply::{Replies, Reply};
@@ -37,7 +42,8 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_util::task::TaskTracker;
 
 pub use probe::Reachable;
-pub use settings::{Mode, ZenohSettings};
+pub use settings::{Mode, ZenohSettings, ZenohTls};
+pub use users::{User, parse as parse_users, read as read_users};
 
 /// Queries that wait to be told that the server is busy; those beyond are dropped, and their clients' time runs out.
 const REFUSALS: usize = 256;
@@ -74,7 +80,9 @@ pub enum ZenohError {
 
 /// What every query needs.
 struct Context {
-    service: MapService,
+    service: Guarded,
+    /// Whoever Zenoh's own access control lets in.
+    caller: OnBehalf,
     door: Door,
     settings: ZenohSettings,
     rivals: Rivals,
@@ -122,10 +130,18 @@ impl ZenohServer {
     ///
     /// # Errors
     /// [`ZenohError`]
-    pub async fn start(service: MapService, door: Door, settings: ZenohSettings) -> Result<Self, ZenohError> {
+    pub async fn start(
+        service: MapService,
+        guarded: Guarded,
+        door: Door,
+        settings: ZenohSettings,
+    ) -> Result<Self, ZenohError> {
         let failed = |error: ::zenoh::Error| ZenohError::Session(error.to_string());
         let prefix = settings.prefix.clone();
-        let session = ::zenoh::open(settings::session(&settings)?).await.map_err(failed)?;
+        let guard = Guard::new(&settings)?;
+        let (config, passwords) = settings::session(&settings, &guard)?;
+        let session = ::zenoh::open(config).await.map_err(failed)?;
+        drop(passwords);
         rivals::alone(&session, &prefix).await?;
         let id = session.zid().to_string();
         let own = rivals::token(&prefix, &id);
@@ -139,7 +155,8 @@ impl ZenohServer {
             .await
             .map_err(failed)?;
         let (replies, sending) = Replies::start().map_err(|error| ZenohError::Session(error.to_string()))?;
-        let context = Arc::new(Context { service, door, settings, rivals, replies });
+        let caller = guarded.of(Caller::anyone("zenoh"), Origin::new("zenoh", Peer::default(), None));
+        let context = Arc::new(Context { service: guarded, caller, door, settings, rivals, replies });
         let tracker = TaskTracker::new();
         let (inbox, samples) = queues(&context, &tracker);
         let taking = inbox.clone();
@@ -162,10 +179,14 @@ impl ZenohServer {
             .await
             .map_err(failed)?;
         let token = session.liveliness().declare_token(own).await.map_err(failed)?;
-        let locators: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
-        let endpoints = if locators.is_empty() { &context.settings.connect } else { &locators };
-        let reachable = probe::start(&context.settings, endpoints, health, context.door.clone()).await?;
-        tokio::spawn(publish::run(session.clone(), context.service.clone(), context.door.clone(), prefix));
+        let mut locators: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
+        let endpoints = asked_endpoints(&context.settings, &locators);
+        let reachable = probe::start(&context.settings, &guard, &endpoints, health, context.door.clone()).await?;
+        if guard.inner().is_some() {
+            // It is nobody's affair.
+            locators.retain(|locator| guard::is_tls(locator));
+        }
+        tokio::spawn(publish::run(session.clone(), service, context.door.clone(), prefix));
         let (queryables, subscribers) = ([queries, asked], [others, scans]);
         Ok(Self { session, id, locators, reachable, token, queryables, subscribers, tracker, sending })
     }
@@ -229,6 +250,15 @@ fn queues(context: &Arc<Context>, tracker: &TaskTracker) -> (Inbox, mpsc::Sender
     (inbox, samples)
 }
 
+/// Where the health check connects: as any client would, but not by TLS of our own settings, which is made for others.
+fn asked_endpoints(settings: &ZenohSettings, locators: &[String]) -> Vec<String> {
+    if locators.is_empty() {
+        return settings.connect.clone();
+    }
+    let plain = |locator: &&String| settings.tls.is_none() || !guard::is_tls(locator);
+    locators.iter().filter(plain).cloned().collect()
+}
+
 fn places(count: usize) -> Arc<Semaphore> {
     Arc::new(Semaphore::new(count.clamp(1, Semaphore::MAX_PERMITS)))
 }
@@ -264,7 +294,7 @@ async fn finish(context: &Context, query: Query, answer: Result<Reply, ServiceEr
 
 /// The answer to a query; `None` where it is not meant for this server.
 async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, ServiceError>> {
-    let Context { service, door, settings, rivals, .. } = context;
+    let Context { caller, door, settings, rivals, .. } = context;
     let key = query.key_expr().as_str();
     if key.ends_with("/health") && key.contains("/@server/") {
         return Some(health(context));
@@ -282,7 +312,7 @@ async fn respond(context: &Context, query: &Query) -> Option<Result<Reply, Servi
             return Err(ServiceError::new(ErrorKind::BodyTooLarge, detail).at("body"));
         }
         let asked = Asked { target: target?, parameters: query.parameters().as_str(), payload: &payload };
-        door.timed(queries::answer(service, asked)).await?
+        door.timed(queries::answer(caller, asked)).await?
     };
     Some(answer.await)
 }

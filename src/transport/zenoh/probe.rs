@@ -1,6 +1,7 @@
 //! A health check that crosses the wire: a client of its own asks the server through the network how it is.
 
 use super::ZenohError;
+use super::guard::Guard;
 use super::rivals::token;
 use super::settings::{self, ZenohSettings};
 use crate::transport::door::Door;
@@ -38,12 +39,13 @@ pub fn health(prefix: &str, id: &str) -> String {
 /// [`ZenohError::Session`] when the client cannot connect; [`ZenohError::Unreachable`] without an answer.
 pub async fn start(
     settings: &ZenohSettings,
+    guard: &Guard,
     endpoints: &[String],
     key: String,
     door: Door,
 ) -> Result<Reachable, ZenohError> {
     let failed = |error: ::zenoh::Error| ZenohError::Session(format!("the health check cannot connect: {error}"));
-    let client = ::zenoh::open(settings::client(settings, endpoints)?).await.map_err(failed)?;
+    let client = ::zenoh::open(settings::client(settings, guard, endpoints)?).await.map_err(failed)?;
     let mut answered = false;
     for _ in 0..MISSES {
         answered = answered || ask(&client, &key).await;

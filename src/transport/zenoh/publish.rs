@@ -40,7 +40,7 @@ pub async fn run(session: Session, service: MapService, door: Door, prefix: Stri
             Some((known, told)) if *known == id => *told,
             _ => revision - 1,
         };
-        match service.changes(&name, since, &ChangesQuery::default()).await {
+        match service.changes(&name, since, &ChangesQuery { robots: true, ..ChangesQuery::default() }).await {
             Ok(changes) => {
                 told.insert(name.clone(), (id, changes.revision));
                 let payload = wire::watch_response(changes).encode_to_vec();

@@ -2,8 +2,9 @@
 
 use super::keys::{Operation, Target};
 use super::reply::Reply;
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, ServiceError};
 use crate::store::MapName;
+use crate::transport::access::OnBehalf;
 use crate::transport::operations;
 use crate::transport::parameters::{Parameters, parse};
 use crate::wire::{self, v1};
@@ -12,7 +13,7 @@ use prost::Message;
 /// Names of parameters that begin so are Zenoh's own, such as `_time`.
 const RESERVED: char = '_';
 
-const BOX: [&str; 5] = ["min_x", "min_y", "max_x", "max_y", "depth"];
+const BOX: [&str; 6] = ["min_x", "min_y", "max_x", "max_y", "depth", "snapshot"];
 const CHANGES: [&str; 7] = ["since", "min_x", "min_y", "max_x", "max_y", "depth", "contents"];
 
 /// A query as it came.
@@ -30,7 +31,7 @@ pub struct Asked<'a> {
 ///
 /// # Errors
 /// Those of the operations, and [`ErrorKind::InvalidRequest`] where the query is not one of the interface.
-pub async fn answer(service: &MapService, asked: Asked<'_>) -> Result<Reply, ServiceError> {
+pub async fn answer(service: &OnBehalf, asked: Asked<'_>) -> Result<Reply, ServiceError> {
     match asked.target {
         Target::Maps => {
             parameters(asked.parameters, &[])?;
@@ -48,13 +49,14 @@ pub async fn answer(service: &MapService, asked: Asked<'_>) -> Result<Reply, Ser
 }
 
 async fn operate(
-    service: &MapService,
+    service: &OnBehalf,
     map: MapName,
     operation: Operation,
     text: &str,
     payload: &[u8],
 ) -> Result<Reply, ServiceError> {
     match operation {
+        Operation::Tile(address) => tile(service, map, address, text).await,
         Operation::Region => region(service, map, text, payload).await,
         Operation::Grid => grid(service, map, text, payload).await,
         Operation::Changes => changes(service, map, text, payload).await,
@@ -66,12 +68,7 @@ async fn operate(
 }
 
 /// Operations without parameters.
-async fn plain(
-    service: &MapService,
-    map: MapName,
-    operation: Operation,
-    payload: &[u8],
-) -> Result<Reply, ServiceError> {
+async fn plain(service: &OnBehalf, map: MapName, operation: Operation, payload: &[u8]) -> Result<Reply, ServiceError> {
     match operation {
         Operation::Create => {
             let request = of_map(&map, payload, |request: &mut v1::CreateMapRequest| &mut request.map)?;
@@ -101,42 +98,52 @@ async fn plain(
             let response = operations::check_guaranteed_free(service, request).await?;
             Ok(Reply::new("CheckGuaranteedFreeResponse", &response))
         }
-        Operation::Tile([z, x, y]) => {
-            let number = |name: &str, text: &str| parse(name, text, "a whole number");
-            let (z, x, y) = (number("z", &z)?, number("x", &x)?, number("y", &y)?);
-            let request = v1::GetTileRequest { map: map.to_string(), z, x, y };
-            Ok(Reply::new("GetTileResponse", &operations::get_tile(service, request).await?))
+        Operation::Robots => {
+            let request = of_map(&map, payload, |request: &mut v1::ListRobotsRequest| &mut request.map)?;
+            Ok(Reply::new("ListRobotsResponse", &operations::list_robots(service, request).await?))
         }
         // The match above takes these.
-        Operation::Region | Operation::Grid | Operation::Changes => {
+        Operation::Tile(_) | Operation::Region | Operation::Grid | Operation::Changes => {
             Err(ServiceError::new(ErrorKind::Internal, "the server failed to answer the query"))
         }
     }
 }
 
-async fn region(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn tile(service: &OnBehalf, map: MapName, [z, x, y]: [String; 3], text: &str) -> Result<Reply, ServiceError> {
+    let snapshot = parameters(text, &["snapshot"])?.snapshot()?.to_owned();
+    let number = |name: &str, text: &str| parse(name, text, "a whole number");
+    let (z, x, y) = (number("z", &z)?, number("x", &x)?, number("y", &y)?);
+    let request = v1::GetTileRequest { map: map.to_string(), z, x, y, snapshot };
+    Ok(Reply::new("GetTileResponse", &operations::get_tile(service, request).await?))
+}
+
+async fn region(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetRegionRequest| &mut request.map)?;
-    let given = parameters(text, &BOX)?.box_query()?;
+    let parameters = parameters(text, &BOX)?;
+    let given = parameters.box_query()?;
     request.min_x = given.min_x.or(request.min_x);
     request.min_y = given.min_y.or(request.min_y);
     request.max_x = given.max_x.or(request.max_x);
     request.max_y = given.max_y.or(request.max_y);
     request.depth = given.depth.or(request.depth);
+    over(&mut request.snapshot, parameters.snapshot()?);
     Ok(Reply::new("GetRegionResponse", &operations::get_region(service, request).await?))
 }
 
-async fn grid(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn grid(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetGridRequest| &mut request.map)?;
-    let given = parameters(text, &BOX)?.box_query()?;
+    let parameters = parameters(text, &BOX)?;
+    let given = parameters.box_query()?;
     request.min_x = given.min_x.or(request.min_x);
     request.min_y = given.min_y.or(request.min_y);
     request.max_x = given.max_x.or(request.max_x);
     request.max_y = given.max_y.or(request.max_y);
     request.depth = given.depth.or(request.depth);
+    over(&mut request.snapshot, parameters.snapshot()?);
     Ok(Reply::new("GetGridResponse", &operations::get_grid(service, request).await?))
 }
 
-async fn changes(service: &MapService, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
+async fn changes(service: &OnBehalf, map: MapName, text: &str, payload: &[u8]) -> Result<Reply, ServiceError> {
     let mut request = of_map(&map, payload, |request: &mut v1::GetChangesRequest| &mut request.map)?;
     let parameters = parameters(text, &CHANGES)?;
     let given = parameters.box_query()?;
@@ -148,6 +155,13 @@ async fn changes(service: &MapService, map: MapName, text: &str, payload: &[u8])
     request.depth = given.depth.or(request.depth);
     request.contents |= parameters.flag("contents")?;
     Ok(Reply::new("GetChangesResponse", &operations::get_changes(service, request).await?))
+}
+
+/// What a parameter says stands above what the message says.
+fn over(field: &mut String, given: &str) {
+    if !given.is_empty() {
+        given.clone_into(field);
+    }
 }
 
 /// A request message whose map is the key's.

@@ -4,7 +4,8 @@
 use super::Context;
 use super::gaps::{Came, Gaps};
 use super::keys;
-use crate::service::{ErrorKind, MapService, ServiceError};
+use crate::service::{ErrorKind, ServiceError};
+use crate::transport::access::OnBehalf;
 use crate::wire::{self, v1};
 use ::zenoh::sample::Sample;
 use metrics::counter;
@@ -58,7 +59,7 @@ pub async fn run(
         let place = Arc::clone(&places).acquire_owned().await.ok();
         let context = Arc::clone(&context);
         tracker.spawn(async move {
-            apply(&context.service, sent).await;
+            apply(&context.caller, sent).await;
             drop(place);
         });
     }
@@ -84,7 +85,7 @@ fn note(gaps: &mut Gaps, sent: &Sent) {
     }
 }
 
-async fn apply(service: &MapService, sent: Sent) {
+async fn apply(service: &OnBehalf, sent: Sent) {
     let scans = sent.scans.len() as u64;
     let mut batch = wire::Batch::of_robot(sent.scans, &sent.robot);
     let inserted = async { service.insert(&wire::map_name(&sent.map)?, batch.take_scans()).await };

@@ -1,0 +1,148 @@
+//! The tree of frames of a bag, of `/tf` and `/tf_static`.
+
+use super::messages::{Stamp, Transform};
+use super::track::{Between, Missing, Near, Sample, Track};
+use std::collections::BTreeMap;
+
+/// Most frames.
+const MOST_FRAMES: usize = 10_000;
+
+/// A way through the tree is not longer: one that is goes in a circle.
+const LONGEST_WAY: usize = 256;
+
+/// How a frame stands to its parent.
+#[derive(Debug, Clone)]
+struct Edge {
+    parent: String,
+    fixed: Option<Near>,
+    track: Track,
+}
+
+/// Every frame with its parent.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Frames {
+    edges: BTreeMap<String, Edge>,
+}
+
+/// The way from one frame to another: up, then down.
+#[derive(Debug, Clone)]
+pub(super) struct Way {
+    /// From the first frame up to the common one.
+    up: Vec<String>,
+    /// From the common one down to the last.
+    down: Vec<String>,
+}
+
+impl Frames {
+    /// Takes a transform; `fixed` for one that holds at all times.
+    ///
+    /// # Errors
+    /// For more frames than are held, and a frame that changes its parent.
+    pub(super) fn add(&mut self, transform: Transform, fixed: bool) -> Result<(), String> {
+        let Transform { stamp, parent, child, parent_from_child } = transform;
+        if child == parent {
+            return Err(format!("the frame {child:?} is its own parent"));
+        }
+        if !self.edges.contains_key(&child) && self.edges.len() >= MOST_FRAMES {
+            return Err(format!("has more than {MOST_FRAMES} frames"));
+        }
+        let edge = self.edges.entry(child).or_insert_with_key(|_| Edge {
+            parent: parent.clone(),
+            fixed: None,
+            track: Track::default(),
+        });
+        if edge.parent != parent {
+            return Err(format!("a frame has two parents, {:?} and {parent:?}", edge.parent));
+        }
+        if fixed {
+            edge.fixed = Some(Near::exact(parent_from_child));
+        } else {
+            edge.track.push(Sample { stamp, pose: parent_from_child, variances: None });
+        }
+        Ok(())
+    }
+
+    /// Orders all samples.
+    pub(super) fn settle(&mut self) {
+        self.edges.values_mut().for_each(|edge| edge.track.settle());
+    }
+
+    /// The names of all frames.
+    pub(super) fn names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> =
+            self.edges.iter().flat_map(|(child, edge)| [child.as_str(), edge.parent.as_str()]).collect();
+        names.sort_unstable();
+        names.dedup();
+        names
+    }
+
+    /// A frame and those above it, up to the root.
+    fn above(&self, frame: &str) -> Result<Vec<String>, String> {
+        let mut way = vec![frame.to_owned()];
+        let mut here = frame;
+        while let Some(edge) = self.edges.get(here) {
+            if way.len() > LONGEST_WAY {
+                return Err(format!("the frames above {frame:?} go in a circle"));
+            }
+            here = &edge.parent;
+            way.push(here.to_owned());
+        }
+        Ok(way)
+    }
+
+    /// The way between two frames.
+    ///
+    /// # Errors
+    /// Names what there is where they are not connected.
+    pub(super) fn way(&self, from: &str, to: &str) -> Result<Way, String> {
+        let (mut up, mut down) = (self.above(from)?, self.above(to)?);
+        let Some(common) = up.iter().find(|frame| down.contains(frame)).cloned() else {
+            return Err(format!(
+                "no transforms lead from {from:?} to {to:?}: {from:?} hangs on {:?}, {to:?} on {:?}",
+                up.last().map_or("", String::as_str),
+                down.last().map_or("", String::as_str)
+            ));
+        };
+        let until = |way: &mut Vec<String>| way.truncate(way.iter().position(|frame| *frame == common).unwrap_or(0));
+        until(&mut up);
+        until(&mut down);
+        down.reverse();
+        Ok(Way { up, down })
+    }
+
+    /// Does the way move?
+    pub(super) fn moves(&self, way: &Way) -> bool {
+        way.up.iter().chain(&way.down).filter_map(|frame| self.edges.get(frame)).any(|edge| edge.fixed.is_none())
+    }
+
+    /// Where the last frame of a way is in the first at a time.
+    pub(super) fn along(&self, way: &Way, stamp: Stamp, between: &Between) -> Result<Near, Missing> {
+        let mut here = Near::exact(nalgebra::Isometry3::identity());
+        let mut first = true;
+        let mut step = |edge: Near| {
+            // An identity in front would round for nothing.
+            here = if first { edge } else { here.then(&edge) };
+            first = false;
+        };
+        for frame in &way.up {
+            step(self.edge(frame, stamp, between)?.inverse());
+        }
+        for frame in &way.down {
+            step(self.edge(frame, stamp, between)?);
+        }
+        Ok(here)
+    }
+
+    fn edge(&self, frame: &str, stamp: Stamp, between: &Between) -> Result<Near, Missing> {
+        let Some(edge) = self.edges.get(frame) else { return Err(Missing::Before) };
+        match edge.fixed {
+            Some(fixed) => Ok(fixed),
+            None => Ok(edge.track.at(stamp, between)?.0),
+        }
+    }
+
+    /// Forgets all frames that no way goes by.
+    pub(super) fn keep(&mut self, ways: &[&Way]) {
+        self.edges.retain(|frame, _| ways.iter().any(|way| way.up.contains(frame) || way.down.contains(frame)));
+    }
+}

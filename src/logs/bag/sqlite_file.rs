@@ -1,0 +1,102 @@
+//! A `.db3` file: the SQLite database of an older ROS 2 bag.
+
+use super::file::{LONGEST_RECORD, MOST_TOPICS, Message, Topic};
+use super::messages::Kind;
+use rusqlite::limits::Limit;
+use rusqlite::{Connection, OpenFlags};
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Messages are fetched until so many bytes of them are in memory.
+const BYTES_AT_ONCE: usize = 4 << 20;
+
+/// A database that is being read.
+pub(super) struct SqliteFile {
+    database: Connection,
+    topics: HashMap<i64, (Arc<Topic>, Option<Kind>)>,
+    /// The topics that are read, as the list of a query.
+    wanted: String,
+    /// The number of the last message that was fetched.
+    last: i64,
+    fetched: VecDeque<Message>,
+    count: Arc<AtomicU64>,
+}
+
+impl SqliteFile {
+    pub(super) fn open(path: &Path, count: Arc<AtomicU64>) -> Result<Self, String> {
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let database = Connection::open_with_flags(path, flags).map_err(|error| told(&error))?;
+        let topics = prepare(&database).map_err(|error| told(&error))??;
+        let wanted: Vec<String> =
+            topics.iter().filter(|(_, (_, kind))| kind.is_some()).map(|(id, _)| id.to_string()).collect();
+        Ok(Self { database, topics, wanted: wanted.join(","), last: i64::MIN, fetched: VecDeque::new(), count })
+    }
+
+    pub(super) fn topics(&self) -> Vec<Arc<Topic>> {
+        self.topics.values().map(|(topic, _)| Arc::clone(topic)).collect()
+    }
+
+    pub(super) fn next_message(&mut self) -> Result<Option<Message>, String> {
+        if self.fetched.is_empty() {
+            self.fetch().map_err(|error| told(&error))?;
+        }
+        Ok(self.fetched.pop_front())
+    }
+
+    fn fetch(&mut self) -> rusqlite::Result<()> {
+        let query = format!(
+            "SELECT id, topic_id, data FROM messages WHERE id > ?1 AND topic_id IN ({}) ORDER BY id",
+            self.wanted
+        );
+        let mut statement = self.database.prepare(&query)?;
+        let mut rows = statement.query([self.last])?;
+        let mut bytes = 0;
+        while bytes < BYTES_AT_ONCE {
+            let Some(row) = rows.next()? else { return Ok(()) };
+            self.last = row.get(0)?;
+            let topic: i64 = row.get(1)?;
+            let data = row.get_ref(2)?.as_blob()?;
+            bytes += data.len();
+            self.count.fetch_add(data.len() as u64, Ordering::Relaxed);
+            if let Some((topic, Some(kind))) = self.topics.get(&topic) {
+                self.fetched.push_back(Message { topic: Arc::clone(topic), kind: *kind, data: data.to_vec() });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Guards against what a database may hold to harm its reader, and reads the topics.
+fn prepare(database: &Connection) -> rusqlite::Result<Result<HashMap<i64, (Arc<Topic>, Option<Kind>)>, String>> {
+    let longest = i32::try_from(LONGEST_RECORD).unwrap_or(i32::MAX);
+    database.set_limit(Limit::SQLITE_LIMIT_LENGTH, longest)?;
+    // No attached files, and no views or functions that the file itself brings.
+    database.set_limit(Limit::SQLITE_LIMIT_ATTACHED, 0)?;
+    database.execute_batch("PRAGMA trusted_schema = OFF; PRAGMA cell_size_check = ON; PRAGMA mmap_size = 0;")?;
+    for table in ["topics", "messages"] {
+        let kind =
+            "SELECT count(*) FROM sqlite_master WHERE name = ?1 AND type = 'table' AND sql NOT LIKE 'CREATE VIRTUAL%'";
+        let found: i64 = database.query_row(kind, [table], |row| row.get(0))?;
+        if found != 1 {
+            return Ok(Err(format!("is a SQLite database without a table {table:?}: no ROS 2 bag")));
+        }
+    }
+    let mut statement = database.prepare("SELECT id, name, type, serialization_format FROM topics ORDER BY id")?;
+    let mut rows = statement.query([])?;
+    let mut topics = HashMap::new();
+    while let Some(row) = rows.next()? {
+        if topics.len() >= MOST_TOPICS {
+            return Ok(Err(format!("has more than {MOST_TOPICS} topics")));
+        }
+        let topic = Topic::new(row.get_ref(1)?.as_str()?, row.get_ref(2)?.as_str()?, row.get_ref(3)?.as_str()?);
+        let kind = topic.kind;
+        topics.insert(row.get(0)?, (Arc::new(topic), kind));
+    }
+    Ok(Ok(topics))
+}
+
+fn told(error: &rusqlite::Error) -> String {
+    format!("the SQLite database cannot be read: {error}")
+}

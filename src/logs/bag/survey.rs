@@ -1,0 +1,135 @@
+//! The first look through a bag: what topics and frames it has, and every pose.
+
+use super::file::{BagFile, Topic};
+use super::frames::Frames;
+use super::messages::{self, Kind, LaserScan};
+use super::track::{Sample, Track};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+/// Most poses and transforms of one bag: 100 bytes of memory each.
+const MOST_SAMPLES: usize = 4_000_000;
+
+/// The poses of one topic.
+#[derive(Debug)]
+pub(super) struct PoseTopic {
+    /// The frame that they stand in.
+    pub(super) frame: String,
+    /// The frame of the robot; empty where the messages do not name it.
+    pub(super) child: String,
+    pub(super) track: Track,
+    /// Do they know their errors?
+    pub(super) certain: bool,
+}
+
+/// What a bag has.
+#[derive(Debug, Default)]
+pub(super) struct Survey {
+    pub(super) topics: BTreeMap<String, Arc<Topic>>,
+    pub(super) frames: Frames,
+    pub(super) poses: BTreeMap<String, PoseTopic>,
+    /// The first scan of each topic.
+    pub(super) scans: BTreeMap<String, LaserScan>,
+    /// What ended the look early.
+    pub(super) damage: Option<String>,
+    samples: usize,
+}
+
+impl Survey {
+    /// Looks through the files. What is damaged ends the look: the second reading meets it again, and tells it.
+    ///
+    /// # Errors
+    /// For a file that cannot be opened, and a pose that cannot be read.
+    pub(super) fn of(files: &[PathBuf], max_beams: usize) -> Result<Self, String> {
+        let mut survey = Self::default();
+        for path in files {
+            let named = |problem: String| {
+                if files.len() == 1 { problem } else { format!("{}: {problem}", path.display()) }
+            };
+            let mut file = BagFile::open(path, Arc::new(AtomicU64::new(0))).map_err(named)?;
+            let damage = loop {
+                match file.next_message() {
+                    Ok(Some(message)) => {
+                        survey.note(&message.topic.name, message.kind, &message.data, max_beams).map_err(named)?
+                    }
+                    Ok(None) => break None,
+                    Err(problem) => break Some(named(problem)),
+                }
+            };
+            for topic in file.topics() {
+                survey.topics.insert(topic.name.clone(), topic);
+            }
+            if damage.is_some() {
+                survey.damage = damage;
+                break;
+            }
+        }
+        survey.frames.settle();
+        survey.poses.values_mut().for_each(|poses| poses.track.settle());
+        Ok(survey)
+    }
+
+    fn note(&mut self, topic: &str, kind: Kind, data: &[u8], max_beams: usize) -> Result<(), String> {
+        let named = |problem: String| format!("a message of {topic}: {problem}");
+        match kind {
+            Kind::Scan => {
+                if !self.scans.contains_key(topic)
+                    && let Ok(scan) = messages::scan(data, max_beams)
+                {
+                    self.scans.insert(topic.to_owned(), scan);
+                }
+                return Ok(());
+            }
+            Kind::Transforms => {
+                let fixed = topic.ends_with("tf_static");
+                for transform in messages::transforms(data).map_err(named)? {
+                    self.samples += 1;
+                    self.frames.add(transform, fixed).map_err(named)?;
+                }
+            }
+            Kind::Odometry | Kind::PoseWithCovariance | Kind::Pose => {
+                let pose = messages::pose(kind, data).map_err(named)?;
+                self.samples += 1;
+                let poses = self.poses.entry(topic.to_owned()).or_insert_with(|| PoseTopic {
+                    frame: pose.frame.clone(),
+                    child: pose.child.clone(),
+                    track: Track::default(),
+                    certain: true,
+                });
+                if poses.frame != pose.frame || poses.child != pose.child {
+                    return Err(named(format!("is in the frame {:?}, those before in {:?}", pose.frame, poses.frame)));
+                }
+                poses.certain &= pose.variances.is_some();
+                poses.track.push(Sample { stamp: pose.stamp, pose: pose.pose, variances: pose.variances });
+            }
+        }
+        if self.samples > MOST_SAMPLES {
+            return Err(format!("has more than {MOST_SAMPLES} poses and transforms: cut it into shorter bags"));
+        }
+        Ok(())
+    }
+
+    /// The topics of some kinds, with their types: for people.
+    pub(super) fn list(&self, wanted: impl Fn(Kind) -> bool) -> String {
+        let of_kind = |topic: &&Arc<Topic>| Kind::of(&topic.type_name).is_some_and(&wanted);
+        let words = |topic: &Arc<Topic>| match topic.encoding.as_str() {
+            "cdr" => format!("{} ({})", topic.name, topic.type_name),
+            other => format!("{} ({}, encoded as {other:?}, which is not read)", topic.name, topic.type_name),
+        };
+        self.topics.values().filter(of_kind).map(words).collect::<Vec<_>>().join(", ")
+    }
+
+    /// All topics, for people.
+    pub(super) fn all(&self) -> String {
+        const SHOWN: usize = 40;
+        if self.topics.is_empty() {
+            return "the bag has no topics".to_owned();
+        }
+        let shown = self.topics.values().take(SHOWN).map(|topic| format!("{} ({})", topic.name, topic.type_name));
+        let more = self.topics.len().saturating_sub(SHOWN);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        format!("the bag has {}{more}", shown.collect::<Vec<_>>().join(", "))
+    }
+}

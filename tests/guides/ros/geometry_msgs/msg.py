@@ -1,0 +1,5 @@
+"""Messages of geometry; the stub makes them as plain objects."""
+
+
+class PoseWithCovarianceStamped:
+    pass

@@ -1,0 +1,5 @@
+"""What spinning ends with."""
+
+
+class ExternalShutdownException(Exception):
+    pass

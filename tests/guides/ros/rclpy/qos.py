@@ -1,0 +1,3 @@
+"""Qualities of service."""
+
+qos_profile_sensor_data = 10
