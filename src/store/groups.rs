@@ -93,7 +93,7 @@ impl Group {
         out
     }
 
-    fn decode(record: &Record<'_>) -> Result<Self, Malformed> {
+    pub(super) fn decode(record: &Record<'_>) -> Result<Self, Malformed> {
         let mut reader = Reader::new(record.content);
         let (present, mixed) = (reader.u64("blocks")?, reader.u64("mixed blocks")?);
         if present == 0 || mixed & !present != 0 {

@@ -11,6 +11,8 @@ mod config_record;
 mod copies;
 mod digest;
 mod durability;
+#[cfg(fuzzing)]
+pub mod fuzzing;
 mod groups;
 mod kept;
 mod keys;

@@ -38,6 +38,21 @@ fn a_path_shorter_than_any_root_of_a_square_missed_the_leaf_beside_an_edge() {
     }
 }
 
+/// Its length times a radius is 0 too, so that every corner seemed to be within it.
+#[test]
+fn a_path_of_a_length_next_to_nothing_met_leaves_beyond_its_radius() {
+    let grid = Grid::new(0.05, 7, None).unwrap();
+    let tree = map_of(&grid, &mut |x, y| if (x, y) == (72, 72) { 10 } else { 1 });
+    // From (0.4, 0.4) on, 0.57 m from the path.
+    let leaf = grid.node_box(NodeAddress { depth: 7, x: 72, y: 72 });
+    for start in [5e-324, 1e-310, 1e-163, 1e-101] {
+        let region = path(&[(start, 0.0), (0.0, 0.0), (0.0, 0.0)], 0.45);
+        assert!(!region.meets(&leaf), "{start}");
+        let answer = guaranteed_free(&tree, &grid, &region, 0);
+        assert!(answer.free && answer.max_class == 1, "{start}: {answer:?}");
+    }
+}
+
 /// The leaf (0, 3) begins at `3 * 0.1`, which is above the float 0.3: the first piece's bounds leave it out, the path's do not.
 #[test]
 fn a_path_along_an_edge_was_refused_without_a_witness() {

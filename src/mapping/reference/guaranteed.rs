@@ -81,10 +81,7 @@ impl Reference<'_> {
     fn bracket_holds(&self, j: usize, k: usize, d: &Box2) -> bool {
         let spec = self.scan.sensor().spec();
         let nearest = d.x.mignitude().hypot(d.y.mignitude());
-        let Some(motion) = self.motion(self.ray(j), self.ray(k), j / self.rays.len() != k / self.rays.len(), nearest)
-        else {
-            return false;
-        };
+        let Some(motion) = self.motion(self.ray(j), self.ray(k), nearest) else { return false };
         let widened = spec.beam_angle_error + motion;
         let step = (self.angle(k) - self.angle(j)).max(0.0);
         let h = 0.5 * (step + 2.0 * spec.beam_angle_error + motion);
@@ -111,9 +108,9 @@ impl Reference<'_> {
 
     /// A1: how far directions to points at `nearest` metres or farther may turn between two beams, radians; `None` when
     /// nothing bounds it. The sensor moves between the beams by at most twice their even share of the sweep, which covers
-    /// a constant acceleration from rest, and across the seam of a full circle by the whole of it.
-    pub(super) fn motion(&self, j: &Ray, k: &Ray, seam: bool, nearest: f64) -> Option<f64> {
-        let (spec, share) = (self.scan.spec(), self.share(j, k, seam));
+    /// a constant acceleration from rest; the seam of a full circle lies between the first and the last beam fired.
+    pub(super) fn motion(&self, j: &Ray, k: &Ray, nearest: f64) -> Option<f64> {
+        let (spec, share) = (self.scan.spec(), self.share(j, k));
         let translation = share * spec.sweep_translation;
         if translation == 0.0 {
             return Some(share * spec.sweep_rotation);
@@ -123,10 +120,10 @@ impl Reference<'_> {
     }
 
     /// The largest part of the sweep's motion that can lie between two beams.
-    pub(super) fn share(&self, j: &Ray, k: &Ray, seam: bool) -> f64 {
+    pub(super) fn share(&self, j: &Ray, k: &Ray) -> f64 {
         let apart = j.index.abs_diff(k.index) as f64;
         let gaps = self.scan.beams().saturating_sub(1) as f64;
-        if seam || 2.0 * apart >= gaps { 1.0 } else { 2.0 * apart / gaps }
+        if 2.0 * apart >= gaps { 1.0 } else { 2.0 * apart / gaps }
     }
 }
 

@@ -57,8 +57,8 @@ pub struct Reference<'a> {
     min_obstacle_width: f64,
     /// Usable beams by angle.
     rays: Vec<Ray>,
-    /// The first beam of the bracket with the largest motion; `None` without beams.
-    most_moved: Option<usize>,
+    /// The first beam of each bracket with the largest motion; of a sensor that is still, of one of them.
+    most_moved: Vec<usize>,
     /// Condition 2 with one `r` for all brackets of a box.
     one_range: bool,
 }
@@ -74,10 +74,14 @@ impl<'a> Reference<'a> {
             })
             .collect();
         rays.sort_by(|a, b| a.angle.total_cmp(&b.angle));
-        let mut reference = Self { scan, min_obstacle_width, rays, most_moved: None, one_range: false };
+        let mut reference = Self { scan, min_obstacle_width, rays, most_moved: Vec::new(), one_range: false };
         let count = reference.rays.len();
-        let share = |j: &usize| reference.share(&reference.rays[*j], &reference.rays[(j + 1) % count], j + 1 == count);
-        reference.most_moved = (0..count).max_by(|a, b| share(a).total_cmp(&share(b)));
+        let share = |j: usize| reference.share(&reference.rays[j], &reference.rays[(j + 1) % count]);
+        let shares: Vec<f64> = (0..count).map(share).collect();
+        let largest = shares.iter().copied().fold(0.0, f64::max);
+        let most_moved = (0..count).filter(|j| shares[*j] == largest);
+        let moves = scan.spec().sweep_rotation > 0.0 || scan.spec().sweep_translation > 0.0;
+        reference.most_moved = most_moved.take(if moves { usize::MAX } else { 1 }).collect();
         reference
     }
 

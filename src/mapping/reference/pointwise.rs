@@ -52,7 +52,8 @@ impl Reference<'_> {
     /// One bracket, the one with the largest motion, need not be widened by its motion: where the directions of a point stay
     /// outside of it during the whole sweep, its two axes lie on either side of the point all the way round the other
     /// brackets, and two beams of one of these straddle it. Where a direction at some moment lies inside, the point must be
-    /// nearer at that moment by as much as the sensor moves, so that it is near enough at the moments of both beams.
+    /// nearer at that moment by as much as the sensor moves, so that it is near enough at the moments of both beams. Where
+    /// several have the largest motion, any of them may be the one.
     #[must_use]
     pub fn is_point_free(&self, pose: Pose, (px, py): (f64, f64)) -> bool {
         let (x, y) = self.origin(pose);
@@ -64,10 +65,12 @@ impl Reference<'_> {
         if count < 2 {
             return false;
         }
-        (0..count).all(|j| {
-            let k = (j + 1) % count;
-            self.shows(j, k, seen, self.most_moved == Some(j)).unwrap_or(true)
-                || self.run_about(j, k).is_some_and(|(from, to)| self.shows(from, to, seen, false) == Some(true))
+        self.most_moved.iter().any(|exempt| {
+            (0..count).all(|j| {
+                let k = (j + 1) % count;
+                self.shows(j, k, seen, j == *exempt).unwrap_or(true)
+                    || self.run_about(j, k).is_some_and(|(from, to)| self.shows(from, to, seen, false) == Some(true))
+            })
         })
     }
 
@@ -86,7 +89,7 @@ impl Reference<'_> {
         let (from, to): (&Ray, &Ray) = (&self.rays[j], &self.rays[k]);
         let seam = k <= j;
         let step = (to.angle - from.angle + if seam { TAU } else { 0.0 }).max(0.0);
-        let motion = self.motion(from, to, seam, seen.distance).unwrap_or(PI);
+        let motion = self.motion(from, to, seen.distance).unwrap_or(PI);
         let widened = spec.beam_angle_error + if is_exempt { 0.0 } else { motion };
         let moved = if is_exempt { self.scan.spec().sweep_translation } else { 0.0 };
         let ahead = (seen.direction - (from.angle - widened)).rem_euclid(TAU);

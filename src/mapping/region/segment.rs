@@ -13,6 +13,10 @@ pub const LEAF_SLACK: f64 = 32.0 * (f64::EPSILON / 2.0);
 /// meets it as well (the extent of a node's numbers is at least that of its leaves', and both errors fit between).
 pub const NODE_SLACK: f64 = 2.0 * LEAF_SLACK;
 
+/// A piece that is shorter is a point, metres: the squares of its length would be lost to underflow. What that leaves out is far
+/// below the slack, which is relative to the side of a leaf at least.
+const SHORTEST: f64 = 1e-100;
+
 /// The straight piece from `start` to `end`, metres; they may be the same point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Segment {
@@ -45,7 +49,11 @@ impl Offset {
 impl Segment {
     pub fn new(start: (f64, f64), end: (f64, f64)) -> Self {
         let step = (end.0 - start.0, end.1 - start.1);
-        Self { start, end, step, length: step.0.hypot(step.1) }
+        let length = step.0.hypot(step.1);
+        if length < SHORTEST {
+            return Self { start, end, step: (0.0, 0.0), length: 0.0 };
+        }
+        Self { start, end, step, length }
     }
 
     /// Length, metres.

@@ -6,6 +6,10 @@
 
 mod gaps;
 mod guard;
+#[cfg(fuzzing)]
+#[allow(missing_docs, reason = "public for the fuzzer alone")]
+pub mod keys;
+#[cfg(not(fuzzing))]
 mod keys;
 mod probe;
 mod publish;
