@@ -53,7 +53,7 @@ fn bodies_on_their_way_share_a_memory_that_a_slow_sender_gives_back() {
     assert_eq!(answer.header("retry-after"), Some("1"));
     let mut client = site.rpc();
     let points = vec![v1::Point { x: Some(1.0), y: Some(1.0) }; 45_000];
-    let request = v1::GetClassesRequest { map: "hall".to_owned(), points, depth: None };
+    let request = v1::GetClassesRequest { map: "hall".to_owned(), points, depth: None, snapshot: String::new() };
     let (_, detail) = refused(site.run(client.get_classes(request)), Code::ResourceExhausted, "BUSY");
     assert!(detail.contains("setting limits.incoming_bytes"), "{detail}");
     assert!(hits(&site, "limits.incoming_bytes") >= before + 3);

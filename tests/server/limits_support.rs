@@ -72,7 +72,14 @@ impl Asked {
             }
             Self::Grid(side) => {
                 let [min_x, min_y, max_x, max_y] = [0.0, 0.0, *side, *side].map(Some);
-                let request = v1::GetGridRequest { map: "hall".to_owned(), min_x, min_y, max_x, max_y, depth: None };
+                let request = v1::GetGridRequest {
+                    map: "hall".to_owned(),
+                    min_x,
+                    min_y,
+                    max_x,
+                    max_y,
+                    ..v1::GetGridRequest::default()
+                };
                 site.run(client.get_grid(request)).map(drop).map_err(said)
             }
             Self::Snapshot(name) => {

@@ -6,7 +6,7 @@ use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
 use super::{App, HttpError, accept, access, respond};
-use crate::service::{ErrorKind, ExportedFile, ServiceError};
+use crate::service::{ExportedFile, ServiceError};
 use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::{files, operations};
 use crate::wire::v1;
