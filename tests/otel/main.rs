@@ -1,5 +1,5 @@
 //! Traces of the real binary, received by a collector: `cargo test --release --features otel --test otel`.
-
+#![cfg(feature = "otel")]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use opentelemetry_proto::tonic::collector::trace::v1::trace_service_server::{TraceService, TraceServiceServer};

@@ -50,16 +50,18 @@ pub(super) fn choose(mut survey: Survey, options: &BagOptions) -> Result<Choice,
         },
     };
     let mut frames = survey.frames;
-    frames.keep(&[match &poses {
+    let way = match &poses {
         Poses::Frames(way) => way,
         Poses::Topic { mount, .. } => mount,
-    }]);
+    };
+    frames.keep(way);
+    let passed_over = frames.passed_over(way).map(|words| format!("; {words}")).unwrap_or_default();
     let between = Between {
         max_gap: (options.max_gap * 1e9) as i64,
         acceleration: options.max_acceleration.position,
         turn: options.max_acceleration.heading,
     };
-    let words = format!("scans of {scans} (frame {laser:?}), {words}");
+    let words = format!("scans of {scans} (frame {laser:?}), {words}{passed_over}");
     Ok(Choice { scans, placer: Placer { frames, poses, between, sweep: options.sweep }, words })
 }
 
@@ -150,6 +152,9 @@ fn by_topic(survey: &mut Survey, options: &BagOptions, topic: &str, laser: &str)
             None => format!("has no topic {topic} (--pose-topic); {}", survey.all()),
         });
     };
+    if let Some(fault) = poses.fault {
+        return Err(format!("a message of {topic}: {fault}"));
+    }
     if let Some(fixed) = options.fixed_frame.as_ref().filter(|fixed| **fixed != poses.frame) {
         return Err(format!(
             "the poses of {topic} stand in the frame {:?}, not {fixed:?} (--fixed-frame)",
@@ -158,12 +163,16 @@ fn by_topic(survey: &mut Survey, options: &BagOptions, topic: &str, laser: &str)
     }
     let mount = mount(survey, options, &poses.child, laser)?;
     let base = mount.0;
-    let error = if poses.certain {
-        format!("each within {} standard deviations", options.sigma)
+    let error = if poses.uncertain {
+        "which do not all tell their errors".to_owned()
     } else {
-        "which do not tell their errors".to_owned()
+        format!("each within {} standard deviations", options.sigma)
     };
-    let words = format!("poses of {base:?} on {topic} in {:?}, {error}", poses.frame);
+    let passed_over = match poses.passed_over {
+        (count, Some(first)) => format!(", of which {count} are passed over ({first})"),
+        _ => String::new(),
+    };
+    let words = format!("poses of {base:?} on {topic} in {:?}, {error}{passed_over}", poses.frame);
     Ok((Poses::Topic { track: poses.track, mount: mount.1, sigma: options.sigma }, words))
 }
 

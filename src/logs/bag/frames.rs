@@ -16,6 +16,10 @@ struct Edge {
     parent: String,
     fixed: Option<Near>,
     track: Track,
+    /// Another parent that it had as well: there is no one way by this frame.
+    other_parent: Option<String>,
+    /// Transforms that are none, and what is wrong with the first.
+    passed_over: (u64, Option<String>),
 }
 
 /// Every frame with its parent.
@@ -34,30 +38,33 @@ pub(super) struct Way {
 }
 
 impl Frames {
-    /// Takes a transform; `fixed` for one that holds at all times.
+    /// Takes a transform; `fixed` for one that holds at all times. What is wrong with a frame matters where a way goes by it.
     ///
     /// # Errors
-    /// For more frames than are held, and a frame that changes its parent.
+    /// For more frames than are held.
     pub(super) fn add(&mut self, transform: Transform, fixed: bool) -> Result<(), String> {
         let Transform { stamp, parent, child, parent_from_child } = transform;
-        if child == parent {
-            return Err(format!("the frame {child:?} is its own parent"));
-        }
         if !self.edges.contains_key(&child) && self.edges.len() >= MOST_FRAMES {
             return Err(format!("has more than {MOST_FRAMES} frames"));
         }
-        let edge = self.edges.entry(child).or_insert_with_key(|_| Edge {
+        let edge = self.edges.entry(child).or_insert_with(|| Edge {
             parent: parent.clone(),
             fixed: None,
             track: Track::default(),
+            other_parent: None,
+            passed_over: (0, None),
         });
         if edge.parent != parent {
-            return Err(format!("a frame has two parents, {:?} and {parent:?}", edge.parent));
+            edge.other_parent.get_or_insert(parent);
+            return Ok(());
         }
-        if fixed {
-            edge.fixed = Some(Near::exact(parent_from_child));
-        } else {
-            edge.track.push(Sample { stamp, pose: parent_from_child, variances: None });
+        match parent_from_child {
+            Ok(pose) if fixed => edge.fixed = Some(Near::exact(pose)),
+            Ok(pose) => edge.track.push(Sample { stamp, pose, variances: None }),
+            Err(problem) => {
+                edge.passed_over.0 += 1;
+                edge.passed_over.1.get_or_insert(problem);
+            }
         }
         Ok(())
     }
@@ -81,6 +88,9 @@ impl Frames {
         let mut way = vec![frame.to_owned()];
         let mut here = frame;
         while let Some(edge) = self.edges.get(here) {
+            if let Some(other) = &edge.other_parent {
+                return Err(format!("the frame {here:?} has two parents, {:?} and {other:?}", edge.parent));
+            }
             if way.len() > LONGEST_WAY {
                 return Err(format!("the frames above {frame:?} go in a circle"));
             }
@@ -108,6 +118,14 @@ impl Frames {
         until(&mut down);
         down.reverse();
         Ok(Way { up, down })
+    }
+
+    /// How many transforms along the way are none, with the first that is.
+    pub(super) fn passed_over(&self, way: &Way) -> Option<String> {
+        let edges = || way.up.iter().chain(&way.down).filter_map(|frame| self.edges.get(frame));
+        let count: u64 = edges().map(|edge| edge.passed_over.0).sum();
+        let first = edges().find_map(|edge| edge.passed_over.1.as_ref())?;
+        Some(format!("{count} of the transforms are passed over: {first}"))
     }
 
     /// Does the way move?
@@ -141,8 +159,8 @@ impl Frames {
         }
     }
 
-    /// Forgets all frames that no way goes by.
-    pub(super) fn keep(&mut self, ways: &[&Way]) {
-        self.edges.retain(|frame, _| ways.iter().any(|way| way.up.contains(frame) || way.down.contains(frame)));
+    /// Forgets all frames that the way does not go by.
+    pub(super) fn keep(&mut self, way: &Way) {
+        self.edges.retain(|frame, _| way.up.contains(frame) || way.down.contains(frame));
     }
 }

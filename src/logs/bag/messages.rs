@@ -64,7 +64,8 @@ pub(super) struct Transform {
     pub(super) stamp: Stamp,
     pub(super) parent: String,
     pub(super) child: String,
-    pub(super) parent_from_child: Isometry3<f64>,
+    /// `Err` for one that is none: not finite, or no rotation.
+    pub(super) parent_from_child: Result<Isometry3<f64>, String>,
 }
 
 /// Where the robot was, of any message that says so.
@@ -74,7 +75,8 @@ pub(super) struct Pose {
     pub(super) frame: String,
     /// Empty where the message does not name it.
     pub(super) child: String,
-    pub(super) pose: Isometry3<f64>,
+    /// `Err` for one that is none: not finite, or no rotation.
+    pub(super) pose: Result<Isometry3<f64>, String>,
     /// Variances of x, y and yaw; `None` where the message does not know.
     pub(super) variances: Option<[f64; 3]>,
 }
@@ -91,11 +93,15 @@ fn frame(cdr: &mut Cdr<'_>, field: &str) -> Result<String, String> {
     Ok(cdr.name(field)?.trim_start_matches('/').to_owned())
 }
 
-fn isometry(cdr: &mut Cdr<'_>, field: &str) -> Result<Isometry3<f64>, String> {
+fn seven(cdr: &mut Cdr<'_>, field: &str) -> Result<[f64; 7], String> {
     let mut values = [0.0; 7];
     for value in &mut values {
         *value = cdr.f64(field)?;
     }
+    Ok(values)
+}
+
+fn isometry(values: [f64; 7], field: &str) -> Result<Isometry3<f64>, String> {
     let [x, y, z, i, j, k, w] = values;
     if values.iter().any(|value| !value.is_finite()) {
         return Err(format!("{field} is not finite"));
@@ -179,7 +185,8 @@ pub(super) fn transforms(data: &[u8]) -> Result<Vec<Transform>, String> {
     for _ in 0..count {
         let (stamp, parent) = header(cdr)?;
         let child = frame(cdr, "child_frame_id")?;
-        let parent_from_child = isometry(cdr, &format!("the transform from {parent:?} to {child:?}"))?;
+        let field = format!("the transform from {parent:?} to {child:?}");
+        let parent_from_child = isometry(seven(cdr, &field)?, &field);
         transforms.push(Transform { stamp, parent, child, parent_from_child });
     }
     Ok(transforms)
@@ -193,7 +200,7 @@ pub(super) fn pose(kind: Kind, data: &[u8]) -> Result<Pose, String> {
     let cdr = &mut Cdr::new(data)?;
     let (stamp, frame_id) = header(cdr)?;
     let child = if kind == Kind::Odometry { frame(cdr, "child_frame_id")? } else { String::new() };
-    let pose = isometry(cdr, "pose")?;
+    let pose = isometry(seven(cdr, "pose")?, "pose");
     let variances = if kind == Kind::Pose { None } else { variances(cdr)? };
     Ok(Pose { stamp, frame: frame_id, child, pose, variances })
 }

@@ -90,7 +90,14 @@ impl Placer {
         let curve = 0.125 * piece * piece;
         let (more, turn) = (self.between.acceleration * curve, self.between.turn * curve);
         let pieces = 2.0 * SWEEP_PIECES as f64;
-        whole.widened(more, turn).placed(rotation + pieces * turn, translation + pieces * more)
+        // Both ends may be off by what poses between samples are. The samples' own errors are taken for those of a drift that
+        // is the same all through a sweep.
+        let (slack, swing) = if first.whole {
+            (0.0, 0.0)
+        } else {
+            (2.0 * first.reach().max(last.reach()), 2.0 * first.theta.radius().max(last.theta.radius()))
+        };
+        whole.widened(more, turn).placed(rotation + pieces * turn + swing, translation + pieces * more + slack)
     }
 
     /// Where the laser was at a time.
@@ -187,6 +194,11 @@ impl Spot {
             self.theta = self.theta + Interval::point(turns) * Interval::TAU;
         }
         self
+    }
+
+    /// How far it reaches from its middle, metres.
+    fn reach(&self) -> f64 {
+        self.x.radius().hypot(self.y.radius())
     }
 
     fn hull(&self, other: &Self) -> Self {

@@ -2,7 +2,7 @@
 
 use super::file::{BagFile, Topic};
 use super::frames::Frames;
-use super::messages::{self, Kind, LaserScan};
+use super::messages::{self, Kind, LaserScan, Pose};
 use super::track::{Sample, Track};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -13,15 +13,49 @@ use std::sync::atomic::AtomicU64;
 const MOST_SAMPLES: usize = 4_000_000;
 
 /// The poses of one topic.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct PoseTopic {
     /// The frame that they stand in.
     pub(super) frame: String,
     /// The frame of the robot; empty where the messages do not name it.
     pub(super) child: String,
     pub(super) track: Track,
-    /// Do they know their errors?
-    pub(super) certain: bool,
+    /// Some do not know their errors.
+    pub(super) uncertain: bool,
+    /// What keeps them from being used.
+    pub(super) fault: Option<String>,
+    /// Poses that are none, and what is wrong with the first.
+    pub(super) passed_over: (u64, Option<String>),
+}
+
+impl PoseTopic {
+    fn add(&mut self, pose: Result<Pose, String>) {
+        let pose = match pose {
+            Ok(pose) => pose,
+            Err(problem) => {
+                self.fault.get_or_insert(problem);
+                return;
+            }
+        };
+        if self.track.is_empty() {
+            self.frame.clone_from(&pose.frame);
+            self.child.clone_from(&pose.child);
+        }
+        if self.frame != pose.frame || self.child != pose.child {
+            let problem = format!("is in the frame {:?}, those before in {:?}", pose.frame, self.frame);
+            self.fault.get_or_insert(problem);
+        }
+        match pose.pose {
+            Ok(there) => {
+                self.uncertain |= pose.variances.is_none();
+                self.track.push(Sample { stamp: pose.stamp, pose: there, variances: pose.variances });
+            }
+            Err(problem) => {
+                self.passed_over.0 += 1;
+                self.passed_over.1.get_or_insert(problem);
+            }
+        }
+    }
 }
 
 /// What a bag has.
@@ -90,19 +124,8 @@ impl Survey {
                 }
             }
             Kind::Odometry | Kind::PoseWithCovariance | Kind::Pose => {
-                let pose = messages::pose(kind, data).map_err(named)?;
                 self.samples += 1;
-                let poses = self.poses.entry(topic.to_owned()).or_insert_with(|| PoseTopic {
-                    frame: pose.frame.clone(),
-                    child: pose.child.clone(),
-                    track: Track::default(),
-                    certain: true,
-                });
-                if poses.frame != pose.frame || poses.child != pose.child {
-                    return Err(named(format!("is in the frame {:?}, those before in {:?}", pose.frame, poses.frame)));
-                }
-                poses.certain &= pose.variances.is_some();
-                poses.track.push(Sample { stamp: pose.stamp, pose: pose.pose, variances: pose.variances });
+                self.poses.entry(topic.to_owned()).or_default().add(messages::pose(kind, data));
             }
         }
         if self.samples > MOST_SAMPLES {

@@ -91,6 +91,10 @@ impl Track {
         self.samples.shrink_to_fit();
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.samples.is_empty()
+    }
+
     /// The pose at a time, and the variances of the samples about it.
     pub(super) fn at(&self, stamp: Stamp, between: &Between) -> Result<(Near, Variances, Variances), Missing> {
         let next = self.samples.partition_point(|sample| sample.stamp < stamp);
