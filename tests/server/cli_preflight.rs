@@ -86,6 +86,15 @@ fn what_keeps_a_server_from_starting_is_told_with_64() {
     let bad = Done::of(ubbmap().env("UBBMAP_LISTN", "x").args(["serve", "--check", "--json"]).output().unwrap());
     let bad = bad.fails(64, "did you mean `listen`?");
     assert!(bad.json()["problems"][0].as_str().unwrap().contains("listn"));
+    for (name, words) in [("UBBMAP_ACCESS__TOKENS", "access.tokens"), ("UBBMAP_TLS__CERT", "tls.cert")] {
+        let mut command = ubbmap();
+        command.env(name, folder.path().join("none.pem"));
+        if name == "UBBMAP_TLS__CERT" {
+            command.env("UBBMAP_TLS__KEY", folder.path().join("none.key"));
+        }
+        command.args(["serve", "--check", "--listen", "127.0.0.1:0", "--data"]).arg(&data);
+        Done::of(command.output().unwrap()).fails(64, words);
+    }
     let zenoh = ["UBBMAP_ZENOH__MODE", "UBBMAP_ZENOH__FILE"];
     let mut command = ubbmap();
     command.env(zenoh[0], "router").env(zenoh[1], folder.path().join("none.json5"));

@@ -87,6 +87,9 @@ struct Revoke {
     name: String,
     #[command(flatten)]
     file: FileOption,
+    /// Print what was done as JSON
+    #[arg(long, help_heading = "Output")]
+    json: bool,
 }
 
 impl Token {
@@ -186,6 +189,9 @@ impl Revoke {
     fn run(&self) -> Result<(), Failure> {
         let file = self.file.needed()?;
         TokenFile::read(&file)?.remove(&self.name)?;
+        if self.json {
+            return say_json(&json!({ "revoked": self.name, "file": file.display().to_string() }));
+        }
         say(&format!("the entry {:?} was taken out of {}", self.name, file.display()))
     }
 }

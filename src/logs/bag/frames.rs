@@ -44,6 +44,10 @@ impl Frames {
     /// For more frames than are held.
     pub(super) fn add(&mut self, transform: Transform, fixed: bool) -> Result<(), String> {
         let Transform { stamp, parent, child, parent_from_child } = transform;
+        if child == parent {
+            // It says nothing.
+            return Ok(());
+        }
         if !self.edges.contains_key(&child) && self.edges.len() >= MOST_FRAMES {
             return Err(format!("has more than {MOST_FRAMES} frames"));
         }
