@@ -84,6 +84,15 @@ fn scan(from: &mut Unstructured<'_>, sensor: SensorModel) -> Result<Option<Scan>
     Ok(Scan::new(spec, sensor, &ScanLimits::default()).ok())
 }
 
+/// Do two beams have one direction?
+fn has_twins(scan: &Scan) -> bool {
+    let turn = std::f64::consts::TAU;
+    let mut angles: Vec<f64> = (0..scan.beams()).map(|beam| scan.angle(beam).rem_euclid(turn)).collect();
+    angles.sort_by(f64::total_cmp);
+    let wraps = angles.first().zip(angles.last()).is_some_and(|(first, last)| first + turn - last < 1e-9);
+    wraps || angles.windows(2).any(|pair| pair[1] - pair[0] < 1e-9)
+}
+
 fn check(from: &mut Unstructured<'_>) -> Result<()> {
     let resolution = number(from, 0.1)?;
     let depth = from.int_in_range(1..=12)?;
@@ -101,6 +110,11 @@ fn check(from: &mut Unstructured<'_>) -> Result<()> {
     let masks = Surveyor::new().survey(&config, &scan);
     for path in Path::all() {
         assert!(masks == Surveyor::on(path).survey(&config, &scan), "{path:?} tells other sets");
+    }
+    let moves = scan.spec().sweep_rotation > 0.0 || scan.spec().sweep_translation > 0.0;
+    if moves && has_twins(&scan) {
+        // Either of two beams in one direction may come first, and which does tells what the motion between neighbours is.
+        return Ok(());
     }
     let reference = Reference::new(&scan, config.min_obstacle_width());
     let mut seed = u64::from(u32::arbitrary(from).unwrap_or(1)) | 1;

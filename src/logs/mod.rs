@@ -202,6 +202,7 @@ struct Text {
     size: u64,
 }
 
+#[expect(clippy::large_enum_variant, reason = "there is one a log")]
 enum Source {
     Text(Text),
     Bag(Box<Bag>),

@@ -161,13 +161,27 @@ impl Task {
 
     /// Checks and computes one scan; a panic of the engine is that scan's alone.
     fn prepare(&self, index: usize, input: ScanInput) -> Prepared {
-        let refused = |(code, detail): Refusal| Prepared::Refused(Rejection { index, code, detail });
         let robot = match robot(&input) {
             Ok(robot) => robot,
-            Err(refusal) => return refused(refusal),
+            Err((code, detail)) => {
+                metrics::robot_scan(None, metrics::Outcome::Rejected);
+                return Prepared::Refused(Rejection { index, code, detail });
+            }
         };
+        let prepared = self.prepare_of(robot.as_ref(), index, input);
+        match &prepared {
+            Prepared::Duplicate(..) => metrics::robot_scan(robot.as_ref(), metrics::Outcome::Duplicate),
+            Prepared::Refused(_) => metrics::robot_scan(robot.as_ref(), metrics::Outcome::Rejected),
+            // The writer counts what becomes of them, and nobody what was not looked at.
+            Prepared::Evidence(_) | Prepared::Exhausted(_) => {}
+        }
+        prepared
+    }
+
+    fn prepare_of(&self, robot: Option<&RobotName>, index: usize, input: ScanInput) -> Prepared {
+        let refused = |(code, detail): Refusal| Prepared::Refused(Rejection { index, code, detail });
         let sequence = input.sequence;
-        let numbered = robot.clone().zip(sequence).map(|(robot, sequence)| Numbered { robot, sequence });
+        let numbered = robot.cloned().zip(sequence).map(|(robot, sequence)| Numbered { robot, sequence });
         // What is known already needs no computing. The writer decides about all others.
         if let Some(number @ Numbered { robot, sequence }) = &numbered
             && let Some(window) = self.published.windows.get(robot)
@@ -188,7 +202,7 @@ impl Task {
             Err(refusal) => refused(refusal),
             Ok((masks, pose)) => match self.reservation.grow(evidence_bytes(&masks)) {
                 Ok(()) => {
-                    let sighting = robot.map(|robot| Sighting { robot, sequence, stamp, sensor, pose });
+                    let sighting = robot.cloned().map(|robot| Sighting { robot, sequence, stamp, sensor, pose });
                     Prepared::Evidence(ScanEvidence { index, numbered, sighting, masks })
                 }
                 Err(error) => Prepared::Exhausted(error),

@@ -1,11 +1,14 @@
 //! What the service counts and times. Without an installed recorder every call here does nothing.
 
 use crate::quadtree::CacheStatistics;
-use crate::store::StoreStatistics;
+use crate::store::{RobotName, StoreStatistics};
 use metrics::{counter, describe_counter, describe_gauge, describe_histogram, gauge, histogram};
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 const SCANS: &str = "ubbmap_scans_total";
+const ROBOT_SCANS: &str = "ubbmap_robot_scans_total";
 const BEAMS_FAILED: &str = "ubbmap_beams_failed_total";
 const COMMITS: &str = "ubbmap_commits_total";
 const COMMIT_SECONDS: &str = "ubbmap_commit_seconds";
@@ -24,10 +27,17 @@ const STORE_LIVE_BYTES: &str = "ubbmap_store_live_bytes";
 const STORE_REWRITES: &str = "ubbmap_store_rewrites_total";
 const WATCHERS: &str = "ubbmap_watchers";
 
+/// Robots that are counted by name.
+const NAMED_ROBOTS: usize = 1000;
+
+/// The name of the others together; no robot has it.
+const OTHER_ROBOTS: &str = "(other)";
+
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
     super::limits::describe_metrics();
     describe_counter!(SCANS, "Scans by outcome: applied, duplicate, rejected, failed");
+    describe_counter!(ROBOT_SCANS, "Scans by robot and outcome; robots beyond the first thousand as one");
     describe_counter!(BEAMS_FAILED, "Beams of computed scans that were failed measurements");
     describe_counter!(COMMITS, "Commits by outcome: stored, failed");
     describe_histogram!(COMMIT_SECONDS, "Seconds from applying a round of scans to its being durable");
@@ -81,16 +91,36 @@ pub(super) enum Outcome {
     Failed,
 }
 
-pub(super) fn scans(outcome: Outcome, count: u64) {
-    let label = match outcome {
-        Outcome::Applied => "applied",
-        Outcome::Duplicate => "duplicate",
-        Outcome::Rejected => "rejected",
-        Outcome::Failed => "failed",
-    };
-    if count > 0 {
-        counter!(SCANS, "outcome" => label).increment(count);
+impl Outcome {
+    fn label(self) -> &'static str {
+        match self {
+            Self::Applied => "applied",
+            Self::Duplicate => "duplicate",
+            Self::Rejected => "rejected",
+            Self::Failed => "failed",
+        }
     }
+}
+
+pub(super) fn scans(outcome: Outcome, count: u64) {
+    if count > 0 {
+        counter!(SCANS, "outcome" => outcome.label()).increment(count);
+    }
+}
+
+/// Counts one scan of a robot. Names come from outside, and each is a series of its own for good: there are so many of
+/// them, the others share one.
+pub(super) fn robot_scan(robot: Option<&RobotName>, outcome: Outcome) {
+    static NAMED: Mutex<BTreeSet<RobotName>> = Mutex::new(BTreeSet::new());
+    let name = robot.map_or("", |robot| {
+        let mut named = NAMED.lock().unwrap_or_else(PoisonError::into_inner);
+        if named.contains(robot) || (named.len() < NAMED_ROBOTS && named.insert(robot.clone())) {
+            robot.as_str()
+        } else {
+            OTHER_ROBOTS
+        }
+    });
+    counter!(ROBOT_SCANS, "robot" => name.to_owned(), "outcome" => outcome.label()).increment(1);
 }
 
 pub(super) fn beams_failed(count: u64) {

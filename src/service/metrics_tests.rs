@@ -1,7 +1,11 @@
 //! The names that dashboards are built on.
 
-use super::metrics::{Loaded, Outcome, Queued, beams_failed, commit, describe_metrics, evidence, query, scans, store};
-use crate::store::StoreStatistics;
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use super::metrics::{
+    Loaded, Outcome, Queued, beams_failed, commit, describe_metrics, evidence, query, robot_scan, scans, store,
+};
+use crate::store::{RobotName, StoreStatistics};
 use metrics_exporter_prometheus::PrometheusBuilder;
 use std::time::Duration;
 
@@ -47,4 +51,28 @@ fn metrics_keep_their_names() {
     assert!(!text.contains("scans_total{outcome=\"failed\""));
     metrics::with_local_recorder(&recorder, || drop(held));
     assert!(handle.render().contains("ubbmap_maps_open 0"));
+}
+
+/// Names come from outside: were there a series for each, a robot that changes its name would fill the memory.
+#[test]
+fn a_robot_is_counted_by_name_up_to_the_first_thousand() {
+    let recorder = PrometheusBuilder::new().build_recorder();
+    let handle = recorder.handle();
+    metrics::with_local_recorder(&recorder, || {
+        for i in 0..1200 {
+            let robot = RobotName::new(&format!("counted-{i}")).unwrap();
+            robot_scan(Some(&robot), Outcome::Applied);
+            robot_scan(Some(&robot), Outcome::Rejected);
+        }
+        robot_scan(None, Outcome::Rejected);
+    });
+    let text = handle.render();
+    assert!(text.contains("ubbmap_robot_scans_total{robot=\"counted-0\",outcome=\"applied\"} 1"), "{text}");
+    assert!(text.contains("ubbmap_robot_scans_total{robot=\"\",outcome=\"rejected\"} 1"), "{text}");
+    // Other tests of this process may have named robots before.
+    let named = text.matches("{robot=\"counted-").count();
+    assert!((2..=2000).contains(&named), "{named}");
+    let others = text.lines().find(|line| line.contains("{robot=\"(other)\",outcome=\"applied\"}")).unwrap();
+    let others: usize = others.rsplit(' ').next().unwrap().parse().unwrap();
+    assert_eq!(others, 1200 - named / 2);
 }

@@ -124,6 +124,8 @@ struct Round<'a> {
     applied: u64,
     /// Where robots were, in the order of arrival.
     seen: Vec<&'a Sighting>,
+    /// What becomes of each scan, by its robot, once the round is stored.
+    outcomes: Vec<(Option<RobotName>, metrics::Outcome)>,
     /// A block could not be read while evidence was applied: the round ends in this.
     broken: Option<PageError>,
 }
@@ -189,9 +191,11 @@ impl Writer {
         let base = self.published.load_full();
         let mut round = Round::new(&base);
         let answers: Vec<InsertAnswer> = jobs.iter().map(|job| round.take(job, self)).collect();
+        let outcomes = std::mem::take(&mut round.outcomes);
         let (scans, applied) = (jobs.iter().map(|job| job.scans.len() as u64).sum::<u64>(), round.applied);
         match self.store(round) {
             Ok(revision) => {
+                outcomes.iter().for_each(|(robot, outcome)| metrics::robot_scan(robot.as_ref(), *outcome));
                 for (job, mut answer) in jobs.into_iter().zip(answers) {
                     answer.revision = revision;
                     metrics::scans(metrics::Outcome::Applied, answer.applied);
@@ -204,6 +208,8 @@ impl Writer {
             }
             Err(error) => {
                 metrics::scans(metrics::Outcome::Failed, scans);
+                let failed = metrics::Outcome::Failed;
+                outcomes.iter().for_each(|(robot, _)| metrics::robot_scan(robot.as_ref(), failed));
                 let error = store_failure(&self.name, "commit to", &error);
                 for job in jobs {
                     job.reply(Err(error.clone()));
@@ -300,6 +306,7 @@ impl<'a> Round<'a> {
             new_robots: 0,
             applied: 0,
             seen: Vec::new(),
+            outcomes: Vec::new(),
             broken: None,
         }
     }
@@ -314,8 +321,11 @@ impl<'a> Round<'a> {
         }
         for scan in &job.scans {
             let readable = self.tree.prepare(&scan.masks).map_err(|error| unreadable(error.into()));
-            match readable.and_then(|()| self.admit(scan.numbered.as_ref(), limits)) {
-                Ok(SequenceVerdict::Duplicate) => answer.duplicates += 1,
+            let outcome = match readable.and_then(|()| self.admit(scan.numbered.as_ref(), limits)) {
+                Ok(SequenceVerdict::Duplicate) => {
+                    answer.duplicates += 1;
+                    metrics::Outcome::Duplicate
+                }
                 Ok(_) => {
                     if let Err(error) = self.tree.try_apply(&scan.masks, &mut self.changed) {
                         self.broken.get_or_insert(error);
@@ -323,9 +333,14 @@ impl<'a> Round<'a> {
                     self.applied += 1;
                     self.seen.extend(&scan.sighting);
                     answer.applied += 1;
+                    metrics::Outcome::Applied
                 }
-                Err((code, detail)) => answer.rejected.push(Rejection { index: scan.index, code, detail }),
-            }
+                Err((code, detail)) => {
+                    answer.rejected.push(Rejection { index: scan.index, code, detail });
+                    metrics::Outcome::Rejected
+                }
+            };
+            self.outcomes.push((scan.sighting.as_ref().map(|seen| seen.robot.clone()), outcome));
         }
         answer.rejected.sort_by_key(|rejection| rejection.index);
         answer

@@ -17,7 +17,8 @@ pub(super) fn robot_pose(robot: RobotPose) -> v1::RobotPose {
     let pose = v1::PoseBox { x: bounds(robot.pose.x()), y: bounds(robot.pose.y()), theta: bounds(robot.pose.theta()) };
     v1::RobotPose {
         robot: robot.robot.to_string(),
-        stamp: robot.stamp,
+        // What is no number has no form in JSON that is one.
+        stamp: if robot.stamp.is_finite() { robot.stamp } else { 0.0 },
         sequence: robot.sequence,
         sensor: robot.sensor,
         pose: Some(pose),

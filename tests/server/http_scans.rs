@@ -214,3 +214,29 @@ fn a_sequence_older_than_its_window_is_refused() {
     assert_eq!(answer["applied"], 1);
     assert_eq!(answer["rejected"][0]["code"], "SEQUENCE_TOO_OLD");
 }
+
+/// JSON has no number for it, and null is none either.
+#[test]
+fn a_stamp_that_is_no_number_was_null_in_answers() {
+    let site = Site::hall();
+    let mut scan = ring("a", Some(1));
+    scan["stamp"] = "NaN".into();
+    assert_eq!(site.post(SCANS, &scan.to_string()).json()["applied"], 1);
+    let robots = site.get("/v1/maps/hall/robots").json();
+    assert_eq!((&robots["robots"][0]["robot"], &robots["robots"][0]["stamp"]), (&"a".into(), &0.0.into()), "{robots}");
+}
+
+#[test]
+fn scans_are_counted_by_robot_and_outcome() {
+    let site = Site::hall();
+    let mut wide = ring("by-robot", Some(2));
+    wide["pose"]["x"] = serde_json::json!({"min": 0, "max": 3});
+    let body = list(&[ring("by-robot", Some(1)), wide]);
+    assert_eq!(site.post(SCANS, &body).json()["applied"], 1);
+    assert_eq!(site.post(SCANS, &list(&[ring("by-robot", Some(1))])).json()["duplicates"], 1);
+    let metrics = String::from_utf8(site.get("/metrics").body).unwrap();
+    for outcome in ["applied", "duplicate", "rejected"] {
+        let line = format!("ubbmap_robot_scans_total{{robot=\"by-robot\",outcome=\"{outcome}\"}} 1");
+        assert!(metrics.contains(&line), "{line} is not in {metrics}");
+    }
+}

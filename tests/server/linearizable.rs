@@ -186,7 +186,7 @@ fn histories_of_many_clients_over_all_transports_are_linearizable() {
         summary.push(judge(&history).unwrap_or_else(|wrong| panic!("seed {seed}: {wrong}")));
     }
     let total = |of: fn(&crate::linearizable_judge::Summary) -> u64| summary.iter().map(of).sum::<u64>();
-    println!("{count} histories: {summary:?}");
+    eprintln!("{count} histories: {summary:?}");
     assert!(total(|s| s.reads) > 50 * count, "hardly anything was read");
     assert!(total(|s| s.applied) > 100 * count, "hardly anything was applied");
     assert!(total(|s| s.restores) > 0 && total(|s| s.duplicates) > 0 && total(|s| s.again) > 0, "{summary:?}");

@@ -136,7 +136,11 @@ impl Create {
         }
         match path {
             Some(path) => {
-                note(&format!("the entry {:?} was added to {}; its token, shown this once:", self.name, path.display()))
+                note(&format!(
+                    "the entry {:?} was added to {}; its token, shown this once:",
+                    self.name,
+                    path.display()
+                ));
             }
             None => {
                 note("no --file: put these lines into the server's file of tokens");

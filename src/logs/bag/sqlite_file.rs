@@ -68,8 +68,11 @@ impl SqliteFile {
     }
 }
 
+/// Topics by their number in the database, and what those are whose messages are read.
+type Topics = HashMap<i64, (Arc<Topic>, Option<Kind>)>;
+
 /// Guards against what a database may hold to harm its reader, and reads the topics.
-fn prepare(database: &Connection) -> rusqlite::Result<Result<HashMap<i64, (Arc<Topic>, Option<Kind>)>, String>> {
+fn prepare(database: &Connection) -> rusqlite::Result<Result<Topics, String>> {
     let longest = i32::try_from(LONGEST_RECORD).unwrap_or(i32::MAX);
     database.set_limit(Limit::SQLITE_LIMIT_LENGTH, longest)?;
     // No attached files, and no views or functions that the file itself brings.

@@ -86,7 +86,7 @@ impl Survey {
             let damage = loop {
                 match file.next_message() {
                     Ok(Some(message)) => {
-                        survey.note(&message.topic.name, message.kind, &message.data, max_beams).map_err(named)?
+                        survey.note(&message.topic.name, message.kind, &message.data, max_beams).map_err(named)?;
                     }
                     Ok(None) => break None,
                     Err(problem) => break Some(named(problem)),

@@ -95,7 +95,8 @@ const OUT: &[&str] = &["egress"];
 const BOTH: &[&str] = &["ingress", "egress"];
 
 /// Allows messages about keys.
-fn rule(messages: &[&str], flows: &[&str], keys: Vec<String>) -> Value {
+fn rule(messages: &[&str], flows: &[&str], keys: impl Into<Value>) -> Value {
+    let keys: Value = keys.into();
     json!({ "messages": messages, "flows": flows, "permission": "allow", "key_exprs": keys })
 }
 
