@@ -15,6 +15,7 @@ mod limits;
 mod metrics;
 mod nav2;
 mod queries;
+mod reconfigure;
 mod registry;
 mod rescue;
 mod robots;

@@ -6,6 +6,7 @@ use super::failures::{map_exists, map_not_found, store_error, store_failure, thr
 use super::fair::Places;
 use super::gate::Gate;
 use super::metrics;
+use super::reconfigure::first_difference;
 use super::rescue::Rescue;
 use super::robots::Robots;
 use super::snapshot_cache::SnapshotCache;
@@ -478,23 +479,6 @@ impl Entry {
             created: self.created,
         }
     }
-}
-
-/// The first field in which a configuration differs beyond added and replaced sensors.
-fn first_difference(now: &MapConfig, asked: &MapConfig) -> Option<String> {
-    let (a, b) = (now.grid(), asked.grid());
-    let fields = [
-        ("resolution", a.resolution() == b.resolution()),
-        ("depth", a.depth() == b.depth()),
-        ("origin", a.origin() == b.origin()),
-        ("classes", now.scale() == asked.scale()),
-        ("evidence", now.rule() == asked.rule()),
-        ("min_obstacle_width", now.min_obstacle_width() == asked.min_obstacle_width()),
-    ];
-    let differing = fields.iter().find(|(_, same)| !same).map(|(field, _)| (*field).to_owned());
-    // A sensor that is left out would be one that is taken away.
-    let missing = || now.sensors().keys().find(|name| !asked.sensors().contains_key(*name));
-    differing.or_else(|| missing().map(|name| format!("sensors.{name}")))
 }
 
 /// Seconds since the Unix epoch.
