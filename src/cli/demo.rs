@@ -125,10 +125,14 @@ impl Demo {
         let server = runtime.block_on(started).map_err(refused)?;
         let stop = Arc::new(AtomicBool::new(false));
         let told = Arc::clone(&stop);
+        // Heard from here on: whoever reads that the demo is ready may ask it to stop at once.
+        let asked = {
+            let _inside = runtime.enter();
+            asked_to_stop()?
+        };
         runtime.spawn(async move {
-            if asked_to_stop().await.is_ok() {
-                told.store(true, Ordering::Relaxed);
-            }
+            asked.await;
+            told.store(true, Ordering::Relaxed);
         });
         let map = map_name(&format!("demo-{}", self.seed)).map_err(Failure::Usage)?;
         // The JSON object is the only line on stdout, so that a program can read it.
@@ -308,16 +312,24 @@ fn wire_scan(scan: &SimulatedScan, behind: u64) -> v1::Scan {
 }
 
 #[cfg(unix)]
-async fn asked_to_stop() -> std::io::Result<()> {
+fn asked_to_stop() -> std::io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut terminate = signal(SignalKind::terminate())?;
-    tokio::select! {
-        _ = terminate.recv() => Ok(()),
-        interrupted = tokio::signal::ctrl_c() => interrupted,
-    }
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    Ok(async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+        }
+    })
 }
 
 #[cfg(not(unix))]
-async fn asked_to_stop() -> std::io::Result<()> {
-    tokio::signal::ctrl_c().await
+fn asked_to_stop() -> std::io::Result<impl Future<Output = ()>> {
+    Ok(async {
+        // Without a way to be told, the demo runs until the process ends.
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+    })
 }

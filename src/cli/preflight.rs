@@ -9,9 +9,6 @@ use serde_json::{Value, json};
 use std::net::TcpListener;
 use std::path::Path;
 
-/// Words in the names of settings whose values are not shown.
-const SECRETS: [&str; 3] = ["password", "secret", "token"];
-
 /// What was looked at: a fact, or a problem that would keep the server from starting.
 type Finding = (&'static str, Result<String, String>);
 
@@ -30,8 +27,13 @@ pub(super) fn check(loaded: Result<(Config, Origins), ConfigError>, json: bool) 
         }
     };
     let settings = settings(&config, &origins)?;
-    let findings =
-        [("address", address(&config)), ("tls", tls(&config)), ("store", store(&config)), ("zenoh", zenoh(&config))];
+    let findings = [
+        ("address", address(&config)),
+        ("tls", tls(&config)),
+        ("access", who_may(&config)),
+        ("store", store(&config)),
+        ("zenoh", zenoh(&config)),
+    ];
     let problems: Vec<&str> =
         findings.iter().filter_map(|(_, found)| found.as_ref().err().map(String::as_str)).collect();
     if json {
@@ -62,15 +64,13 @@ fn print(settings: &[(String, Value, String)], findings: &[Finding]) -> Result<(
     Ok(())
 }
 
-/// Every setting with its value and where that was given.
+/// Every setting with its value and where that was given. None is a secret: those are in files.
 fn settings(config: &Config, origins: &Origins) -> anyhow::Result<Vec<(String, Value, String)>> {
     let mut all = Vec::new();
     flatten("", &serde_json::to_value(config)?, &mut all);
     let with_origin = |(key, value): (String, Value)| {
         let origin = origins.get(&key).map_or("default", String::as_str).to_owned();
-        let hidden =
-            SECRETS.iter().any(|word| key.contains(word)) && value.as_str().is_none_or(|text| !text.is_empty());
-        (key, if hidden { json!("(not shown)") } else { value }, origin)
+        (key, value, origin)
     };
     Ok(all.into_iter().map(with_origin).collect())
 }
@@ -85,6 +85,16 @@ fn flatten(table: &str, value: &Value, out: &mut Vec<(String, Value)>) {
         }
         value => out.push((table.to_owned(), value.clone())),
     }
+}
+
+/// Who may come in.
+fn who_may(config: &Config) -> Result<String, String> {
+    let access = config.access().map_err(|error| error.to_string())?;
+    Ok(match config.tokens_file() {
+        Some(file) => format!("by the tokens in {}", file.display()),
+        None if access.is_insecure() => "everybody who reaches the server (insecure)".to_owned(),
+        None => "without tokens".to_owned(),
+    })
 }
 
 fn address(config: &Config) -> Result<String, String> {

@@ -77,7 +77,6 @@ impl Traces {
 }
 
 /// Traces every request of the routes.
-#[must_use]
 pub fn trace_requests(router: Router) -> Router {
     router.layer(axum::middleware::from_fn(trace))
 }

@@ -120,7 +120,8 @@ fn serve_and_end(folder: &Path, words: &[&str]) {
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut ready).unwrap();
     assert!(ready.contains("http://127.0.0.1:"), "{words:?}: {ready:?}");
     assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
-    assert!(child.wait().unwrap().success(), "{words:?}");
+    let ended = child.wait().unwrap();
+    assert!(ended.success(), "{words:?}: {ended}");
 }
 
 #[test]
