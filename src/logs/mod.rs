@@ -204,7 +204,7 @@ struct Text {
 
 #[expect(clippy::large_enum_variant, reason = "there is one a log")]
 enum Source {
-    Text(Box<Text>),
+    Text(Text),
     Bag(Box<Bag>),
 }
 
@@ -238,13 +238,13 @@ impl LogReader {
             return Ok(Self::of(Source::Bag(Box::new(bag))));
         }
         let file = std::fs::File::open(path).map_err(error)?;
-        Ok(Self::of(Source::Text(Box::new(Text { size: metadata.len(), ..Text::new(file, limits) }))))
+        Ok(Self::of(Source::Text(Text { size: metadata.len(), ..Text::new(file, limits) })))
     }
 
     /// Reads a log of text from any source of bytes, up to its first scan.
     #[must_use]
     pub fn new(source: impl Read + Send + 'static, limits: ScanLimits) -> Self {
-        Self::of(Source::Text(Box::new(Text::new(source, limits))))
+        Self::of(Source::Text(Text::new(source, limits)))
     }
 
     fn of(source: Source) -> Self {

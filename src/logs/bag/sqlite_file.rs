@@ -12,13 +12,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Messages are fetched until so many bytes of them are in memory.
 const BYTES_AT_ONCE: usize = 4 << 20;
 
-/// Topics by their numbers.
-type Topics = HashMap<i64, (Arc<Topic>, Option<Kind>)>;
-
 /// A database that is being read.
 pub(super) struct SqliteFile {
     database: Connection,
-    topics: Topics,
+    topics: HashMap<i64, (Arc<Topic>, Option<Kind>)>,
     /// The topics that are read, as the list of a query.
     wanted: String,
     /// The number of the last message that was fetched.
