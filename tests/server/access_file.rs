@@ -39,7 +39,7 @@ fn what_is_wrong_with_a_file_is_named_and_no_token_is_quoted() {
         (entry("a", "").replace(HASH, &"é".repeat(32)), "64 digits of hex"),
         (entry("a", "").replace(HASH, secret), "holds the token itself"),
         (entry("a", &format!("token = \"{secret}\"")), "unknown field `token`"),
-        (entry("a", &secret.to_string()), "line 6"),
+        (entry("a", secret), "line 6"),
         (entry("a", &format!("expires = \"{secret}")), "line 6"),
         (entry("a", "expires = \"soon\""), "2027-01-31T00:00:00Z"),
         (entry("a", "expires = 2027-01-31"), "2027-01-31T00:00:00Z"),

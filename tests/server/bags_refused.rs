@@ -112,8 +112,15 @@ fn what_leaves_a_choice_or_lacks_something_is_told_with_what_there_is() {
         (10, None),
         "a laser that stands, by its frame's name"
     );
+}
 
-    // Poses on topics.
+#[test]
+fn topics_of_poses_that_leave_a_choice_are_told() {
+    let usual = BagOptions::default();
+    let folder = tempfile::tempdir().unwrap();
+    let mut still = plain();
+    still.messages.retain(|(topic, ..)| topic != "/tf");
+    still.put("/tf_static", TF, transforms(0.0, &[("map", "base_link", flat(0.0, 0.0, 0.0))]));
     let odometry = |child: &str| {
         let mut bag = still.clone();
         for step in 0..10 {
