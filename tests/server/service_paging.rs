@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use super::service_support::{applied, config, counts, leaves, map_name, ring, served};
+use super::service_support::{applied, config, counts, leaves, map_name, ring, served, until};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::task::JoinSet;
@@ -51,7 +51,9 @@ async fn under_a_tiny_limit_every_answer_is_that_of_the_whole_map() {
     let class = |(x, y): &(f64, f64)| whole.max_class(config.grid().leaf_at(*x, *y).unwrap());
     assert_eq!(classes, points.iter().map(class).collect::<Vec<_>>());
     let cache = service.cache();
-    assert!(cache.evictions > 50 && cache.loads > 50 && cache.bytes <= 2 * 5600, "{cache:?}");
+    assert!(cache.evictions > 50 && cache.loads > 50, "{cache:?}");
+    // What the last answers held goes a little after them.
+    until("the blocks are let go", || service.cache().bytes <= 2 * 5600).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -328,7 +328,7 @@ async fn a_map_for_nav2_has_a_cell_and_a_limit() {
     let form = |depth| ExportForm::Nav2 { depth: Some(depth), mode: Nav2Mode::Trinary };
     let error: ServiceError = service.export(&name, None, form(8)).await.unwrap_err();
     assert_eq!((error.kind, error.field.as_deref()), (ErrorKind::RegionTooLarge, Some("depth")));
-    let fits: u32 = error.detail.rsplit("depth ").next().unwrap().trim_end_matches(" fits").parse().unwrap();
+    let fits: u32 = error.detail.rsplit("depth ").next().unwrap().split(" fits").next().unwrap().parse().unwrap();
     let drawn = Nav2Map::of(&service.export(&name, None, form(fits)).await.unwrap().bytes);
     assert!(drawn.cells.len() <= 100 && drawn.cells.contains(&100), "{:?}", drawn.size);
     assert_eq!(service.export(&name, None, form(fits + 1)).await.unwrap_err().kind, ErrorKind::RegionTooLarge);
