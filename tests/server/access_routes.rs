@@ -121,7 +121,7 @@ fn the_walk_over_the_routes_leaves_none_out() {
     let mut found = BTreeSet::new();
     for (path, operations) in description["paths"].as_object().unwrap() {
         for method in ["get", "put", "post", "delete"].into_iter().filter(|method| operations.get(method).is_some()) {
-            found.insert((method.to_uppercase(), path.clone()));
+            found.insert((method.to_uppercase(), path.replace(".{ending}", "")));
         }
     }
     assert!(found.len() > 20, "{found:?}");
