@@ -84,9 +84,16 @@ fn every_setting_of_the_file_is_read() {
             "16777216" => "16777217",
             _ => "77",
         };
-        let mut changed: Vec<_> = lines.iter().map(|line| (*line).to_owned()).collect();
-        changed[at] = format!("{key} = {other}");
-        assert_ne!(load(&changed.join("\n"), &[], &[]).unwrap(), Config::default(), "{key}");
+        // A number beside its own where that one is out of its range.
+        let beside = value.parse::<u64>().map(|number| [number + 1, number.saturating_sub(1)]).unwrap_or_default();
+        let mut others = vec![other.to_owned()];
+        others.extend(beside.iter().map(u64::to_string));
+        let is_read = |other: &String| {
+            let mut changed: Vec<_> = lines.iter().map(|line| (*line).to_owned()).collect();
+            changed[at] = format!("{key} = {other}");
+            load(&changed.join("\n"), &[], &[]).is_ok_and(|config| config != Config::default())
+        };
+        assert!(others.iter().any(is_read), "{key}");
     }
 }
 
