@@ -1,7 +1,8 @@
 //! The places of a map's queue, shared fairly by the robots that send to it.
 //!
 //! While less than half of the places are taken, whoever comes first has one. From there on a robot that has a place
-//! already gets another only up to its share: the places divided by the robots that have one or wait for one. Those that
+//! already gets another only up to its share: the places divided by the robots that have one or wait for one. The last
+//! quarter is for robots that have none, so that one comes in beside another that sends all the time. Those that
 //! wait are let in by turns of robots, not in the order in which they came: one that sends ten times as much waits ten
 //! times as long, and the others do not.
 
@@ -9,6 +10,9 @@ use super::{ErrorKind, ServiceError, setting};
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
+
+/// One of so many places is kept for robots that have none.
+const KEPT: usize = 4;
 
 /// The places of one queue.
 #[derive(Debug)]
@@ -114,7 +118,10 @@ impl Places {
     fn may_have(&self, state: &State, robot: &str) -> bool {
         let held = state.robots.get(robot).map_or(0, |robot| robot.held);
         let active = state.robots.len() + usize::from(!state.robots.contains_key(robot));
-        held == 0 || state.taken < self.capacity / 2 || held < self.capacity / active
+        let kept = self.capacity / KEPT;
+        held == 0
+            || state.taken < self.capacity / 2
+            || (held < self.capacity / active && state.taken + kept < self.capacity)
     }
 
     /// Takes a place back and gives what is free to those whose turn it is.

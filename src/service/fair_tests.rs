@@ -14,38 +14,38 @@ fn now<F: Future>(future: F) -> Poll<F::Output> {
 }
 
 #[test]
-fn a_robot_that_is_alone_has_the_whole_queue() {
+fn a_robot_that_is_alone_has_all_but_what_is_kept_for_others() {
     let places = Places::new(8);
-    let held: Vec<Place> = (0..8).map(|_| places.take("a").unwrap()).collect();
-    assert!(places.full());
+    let held: Vec<Place> = (0..6).map(|_| places.take("a").unwrap()).collect();
     let refused = places.take("a").unwrap_err();
     assert_eq!(refused.kind, ErrorKind::Busy);
-    assert!(refused.detail.contains("writer.queue"), "{}", refused.detail);
-    assert_eq!(places.take("b").unwrap_err().kind, ErrorKind::Busy);
-    drop(held);
-    assert!(!places.full() && places.take("b").is_ok());
+    assert!(refused.detail.contains("\"a\" has 6") && refused.detail.contains("writer.queue"), "{}", refused.detail);
+    let others = ["b", "c"].map(|robot| places.take(robot).unwrap());
+    assert!(places.full());
+    let refused = places.take("d").unwrap_err();
+    assert!(refused.kind == ErrorKind::Busy && refused.detail.contains("writer.queue"), "{}", refused.detail);
+    drop((held, others));
+    assert!(!places.full() && places.take("d").is_ok());
 }
 
 #[test]
 fn over_half_full_a_robot_keeps_to_its_share_and_others_find_room() {
-    let places = Places::new(8);
-    let mut greedy: Vec<Place> = (0..4).map(|_| places.take("greedy").unwrap()).collect();
+    let places = Places::new(16);
+    let mut greedy: Vec<Place> = (0..8).map(|_| places.take("greedy").unwrap()).collect();
     let first = places.take("b").unwrap();
-    // Two robots: four places each.
+    // Two robots: eight places each.
     let refused = places.take("greedy").unwrap_err();
-    assert!(refused.detail.contains("\"greedy\" has 4"), "{}", refused.detail);
-    let second = places.take("c").unwrap();
-    let third = places.take("d").unwrap();
-    assert!(places.take("greedy").is_err());
+    assert!(refused.detail.contains("\"greedy\" has 8"), "{}", refused.detail);
+    let (second, third) = (places.take("c").unwrap(), places.take("d").unwrap());
     let fourth = places.take("b").unwrap();
-    assert!(places.full());
-    // With four robots the share is two: the greedy one gets no more until it has fewer.
-    greedy.truncate(2);
     assert!(places.take("greedy").is_err());
-    greedy.truncate(1);
+    // With four robots the share is four: the greedy one gets no more until it has fewer.
+    greedy.truncate(5);
+    assert!(places.take("greedy").is_err());
+    greedy.truncate(3);
     assert!(places.take("greedy").is_ok());
     drop((first, second, third, fourth, greedy));
-    assert!((0..8).map(|_| places.take("e")).collect::<Vec<_>>().iter().all(Result::is_ok));
+    assert!((0..12).map(|_| places.take("e")).collect::<Vec<_>>().iter().all(Result::is_ok));
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn no_place_is_lost_among_many_threads() {
             });
         }
     });
-    let all: Vec<Place> = (0..4).map(|_| places.take("last").unwrap()).collect();
+    let all: Vec<Place> = (0..4).map(|last| places.take(&format!("last-{last}")).unwrap()).collect();
     assert!(places.full());
     drop(all);
 }

@@ -5,11 +5,14 @@
 use crate::grpc_support::refused;
 use crate::http_support::{Site, gzip, ring};
 use crate::limits_support::{at_last, hits};
+use crate::service_support::{self, map_name};
 use serde_json::json;
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tonic::Code;
+use ubbmap::service::ErrorKind;
 use ubbmap::wire::v1;
 
 fn connect(site: &Site) -> TcpStream {
@@ -130,4 +133,42 @@ fn an_answer_that_no_memory_would_hold_is_refused_for_good() {
     let whole = v1::GetGridRequest { map: "wide".to_owned(), ..v1::GetGridRequest::default() };
     let (_, detail) = refused(site.run(client.get_grid(whole)), Code::OutOfRange, "REGION_TOO_LARGE");
     assert!(detail.contains("setting limits.answer_bytes"), "{detail}");
+}
+
+#[test]
+fn a_robot_that_sends_most_does_not_keep_another_out() {
+    let site = Site::with(|config| config.writer.queue = 8);
+    site.make_hall();
+    let service = site.server.as_ref().unwrap().service().clone();
+    let send = |robot: &str, sequence: u64| {
+        let (service, scan) = (service.clone(), service_support::ring(robot, Some(sequence), 0.0));
+        site.runtime.spawn(async move { service.insert(&map_name("hall"), vec![scan]).await })
+    };
+    // The map is loaded; then one in the commit that hangs, and as many as it likes.
+    assert_eq!(site.run(send("greedy", 100)).unwrap().unwrap().applied, 1);
+    site.store.hold();
+    let mut taken = vec![send("greedy", 0)];
+    at_last(|| site.store.waiting.load(Ordering::SeqCst) > 0);
+    let mut refusal = None;
+    for sequence in 1..=20 {
+        let sent = send("greedy", sequence);
+        // What is refused is refused at once, what is taken waits for the store.
+        let answer = site.runtime.block_on(async {
+            tokio::select! {
+                answer = sent => Some(answer.unwrap()),
+                () = tokio::time::sleep(Duration::from_millis(300)) => None,
+            }
+        });
+        if let Some(answer) = answer {
+            refusal = Some(answer.unwrap_err());
+            break;
+        }
+    }
+    let refusal = refusal.unwrap();
+    assert!(refusal.kind == ErrorKind::Busy && refusal.detail.contains("robot \"greedy\""), "{refusal}");
+    taken.push(send("other", 1));
+    site.store.release();
+    for answer in taken {
+        assert_eq!(site.run(answer).unwrap().unwrap().applied, 1);
+    }
 }
