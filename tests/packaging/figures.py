@@ -10,6 +10,7 @@ import struct
 import subprocess
 import threading
 import time
+import urllib.error
 import urllib.parse
 import urllib.request
 from pathlib import Path
@@ -88,6 +89,15 @@ def dashboard_is_sound():
     assert grafana["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"] == f"{provider['options']['path']}/{DASHBOARD.name}"
 
 
+def refused(url):
+    """The code of the problem that a request is answered with."""
+    try:
+        get(url)
+    except urllib.error.HTTPError as error:
+        return json.load(error)["code"]
+    raise AssertionError(f"{url} was answered")
+
+
 def get(url, data=None, kind="application/json"):
     request = urllib.request.Request(url, data, {"Content-Type": kind})
     with urllib.request.urlopen(request, timeout=20) as answer:
@@ -130,6 +140,8 @@ class Load:
         get(self.server + MAP + "/classes", json.dumps({"points": [{"x": 1, "y": 1}]}).encode())
         get(f"{self.server}{MAP}/region?{BOX}&depth=14")
         get(f"{self.server}{MAP}/grid?{BOX}&depth=14&format=npy")
+        # More cells than limits.cells_per_answer.
+        assert refused(f"{self.server}{MAP}/grid") == "REGION_TOO_LARGE"
         get(f"{self.server}{MAP}/changes?since=0")
         get(f"{self.server}{MAP}/tiles/2/1/1.png")
         get(f"{self.server}{MAP}/export?format=ubbmap")

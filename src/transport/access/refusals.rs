@@ -74,7 +74,7 @@ impl Reason {
     }
 }
 
-/// A refusal. It becomes the client's error when it has been [noted](Refusals::note).
+/// A refusal. It becomes the client's error when it has been noted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refused {
     /// Why.
