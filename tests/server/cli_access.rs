@@ -2,29 +2,27 @@
 
 #![allow(clippy::unwrap_used, reason = "a test may end where its ground is not as it should be")]
 
-use super::cli_support::{Done, run, ubbmap, until};
+use super::cli_support::{Done, Folder, run, ubbmap, until};
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::ops::Deref;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use tempfile::TempDir;
 use ubbmap::transport::access::Roll;
 
-struct Desk {
-    folder: TempDir,
+struct Desk(Folder);
+
+impl Deref for Desk {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.0
+    }
 }
 
 impl Desk {
     fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn text(&self, name: &str) -> String {
-        self.path(name).to_str().unwrap().to_owned()
+        Self(Folder::new())
     }
 
     fn tokens(&self) -> String {

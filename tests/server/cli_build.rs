@@ -2,25 +2,27 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "tests")]
 
-use super::cli_support::{BEAMS, Done, gzip, room_carmen, room_json, run};
+use super::cli_support::{BEAMS, Done, Folder, gzip, room_carmen, room_json, run};
 use super::logs_real::data;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 use ubbmap::mapping::{EvidenceRule, MapConfig};
 use ubbmap::quadtree::{NodeAddress, OccupancyTree};
 use ubbmap::store::{LoadedMap, read_map_file};
 
-struct Bench {
-    folder: TempDir,
+struct Bench(Folder);
+
+impl Deref for Bench {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.0
+    }
 }
 
 impl Bench {
     fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        Self(Folder::new())
     }
 
     fn log(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
@@ -204,7 +206,7 @@ fn what_is_no_log_is_refused() {
     let bench = Bench::new();
     let missing = bench.path("missing.gz");
     bench.build(&missing, &[]).fails(1, "missing.gz");
-    bench.build(bench.folder.path(), &[]).fails(1, "is a folder without a metadata.yaml");
+    bench.build(&bench.path(""), &[]).fails(1, "is a folder without a metadata.yaml");
     for (name, bytes, words) in [
         ("empty", &b""[..], "no scans"),
         ("text", b"hello there", "no CARMEN message"),

@@ -2,31 +2,29 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use super::cli_support::{Done, Server, room_json, run, ubbmap, until};
+use super::cli_support::{Done, Folder, Server, room_json, run, ubbmap, until};
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Stdio};
-use tempfile::TempDir;
 use ubbmap::quadtree::{LeafRange, OccupancyTree};
 use ubbmap::store::read_map_file;
 
 const ANY: &str = "127.0.0.1:0";
 const SCANS: usize = 600;
 
-struct Bench {
-    folder: TempDir,
+struct Bench(Folder);
+
+impl Deref for Bench {
+    type Target = Folder;
+
+    fn deref(&self) -> &Folder {
+        &self.0
+    }
 }
 
 impl Bench {
     fn new() -> Self {
-        Self { folder: tempfile::tempdir().unwrap() }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn text(&self, name: &str) -> String {
-        self.path(name).to_str().unwrap().to_owned()
+        Self(Folder::new())
     }
 
     fn log(&self, scans: usize) -> String {
