@@ -6,7 +6,6 @@ use super::cli_support::{Done, Folder, run, ubbmap, until};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
-use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use ubbmap::transport::access::Roll;
 

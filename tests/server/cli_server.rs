@@ -4,7 +4,7 @@
 
 use super::cli_support::{Done, Folder, Server, room_json, run, ubbmap, until};
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Stdio};
 use ubbmap::quadtree::{LeafRange, OccupancyTree};
 use ubbmap::store::read_map_file;
