@@ -207,6 +207,7 @@ impl Server {
             transfers: limits.transfers,
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
+            idle_timeout: seconds(limits.idle_seconds),
         });
         let (access, tokens) = files::access(config)?;
         watched.extend(tokens);
@@ -257,6 +258,12 @@ impl Server {
     #[must_use]
     pub fn administration(&self) -> Option<SocketAddr> {
         self.administration.as_ref().map(|listening| listening.address)
+    }
+
+    /// The door that all requests pass.
+    #[must_use]
+    pub fn door(&self) -> &Door {
+        &self.door
     }
 
     /// Who may come in.

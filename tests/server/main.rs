@@ -24,6 +24,7 @@ mod cli_tls;
 mod crash_client;
 mod crash_support;
 mod damage;
+mod front_door;
 mod full_disk;
 mod grpc_calls;
 mod grpc_streams;
