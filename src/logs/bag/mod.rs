@@ -24,7 +24,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use survey::Survey;
+use survey::{FirstScan, Survey};
 use track::Missing;
 
 pub(super) use folder::is_bag;
@@ -191,7 +191,7 @@ impl Bag {
 }
 
 /// What a scan says of its sensor.
-fn sensor(scan: &LaserScan) -> LogSensor {
+fn sensor(scan: &FirstScan) -> LogSensor {
     let finite = |value: f32| Some(f64::from(value)).filter(|value| value.is_finite());
     LogSensor {
         range_min: finite(scan.range_min).filter(|value| *value >= 0.0),
