@@ -47,7 +47,7 @@ impl PoseTopic {
         }
         match pose.pose {
             Ok(there) => {
-                self.uncertain |= pose.variances.is_none();
+                self.uncertain |= pose.variances.is_none_or(|variances| variances.contains(&0.0));
                 self.track.push(Sample { stamp: pose.stamp, pose: there, variances: pose.variances });
             }
             Err(problem) => {
