@@ -5,7 +5,7 @@ use super::mapper::{BATCH, Mapper};
 use super::options::{MapOptions, SENSOR, SensorOptions, at_least_one, check_png, map_config, rule_name};
 use super::output::{Failure, Progress, causes, note, say, say_json, write_whole};
 use crate::interval::Interval;
-use crate::logs::{LogReader, LogScan, PoseError};
+use crate::logs::{BagOptions, LogReader, LogScan, PoseError};
 use crate::mapping::Surveyor;
 use crate::picture::{Picture, known_range};
 use crate::quadtree::{Grid, LeafRange, TreeStatistics};
@@ -92,8 +92,9 @@ impl ScanOptions {
 ///
 /// # Errors
 /// Names the file.
-pub(super) fn open_log(path: &Path, bag: &BagFlags) -> Result<LogReader, Failure> {
-    let reader = LogReader::open_with(path, ScanLimits::default(), &bag.options()).context("cannot read the log")?;
+pub(super) fn open_log(path: &Path, bag: &BagFlags, pose_error: PoseError) -> Result<LogReader, Failure> {
+    let options = BagOptions { pose_error, ..bag.options() };
+    let reader = LogReader::open_with(path, ScanLimits::default(), &options).context("cannot read the log")?;
     if let Some(flag) = bag.given().filter(|_| reader.chosen().is_none()) {
         return Err(Failure::Usage(format!("--{flag} is for ROS 2 bags, and {} is none", path.display())));
     }
@@ -131,7 +132,7 @@ impl Build {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
         self.check_targets()?;
-        let mut reader = open_log(&self.log, &self.bag)?;
+        let mut reader = open_log(&self.log, &self.bag, self.scans.pose_error)?;
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
         let config = map_config(&self.map, &self.sensor, reader.sensor())?;

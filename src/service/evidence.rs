@@ -103,7 +103,14 @@ pub(super) fn input_bytes(scans: &[ScanInput]) -> usize {
         Angles::Uniform { .. } => 0,
         Angles::Listed(list) => size_of_val(list.as_slice()),
     };
-    scans.iter().map(|scan| SCAN_OVERHEAD + size_of_val(scan.ranges.as_slice()) + angles(&scan.angles)).sum()
+    let one = |scan: &ScanInput| size_of_val(scan.ranges.as_slice()) + angles(&scan.angles) + scan.robot.len();
+    scans.iter().map(|scan| SCAN_OVERHEAD + one(scan)).sum()
+}
+
+/// Whose turn a request takes: that of the first scan's robot. One whose name is none, which will be refused, is nobody: its
+/// text is as long as a body may be, and would be kept.
+pub(super) fn counted_as(scans: &[ScanInput]) -> &str {
+    scans.first().map(|scan| scan.robot.as_str()).filter(|robot| RobotName::new(robot).is_ok()).unwrap_or_default()
 }
 
 impl Task {

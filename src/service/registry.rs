@@ -1,7 +1,7 @@
 //! Named maps: created and deleted durably, loaded when first used, each with its writer.
 
 use super::changes::{ChangeLog, NOTICES};
-use super::evidence::{EvidencePool, Task, input_bytes};
+use super::evidence::{EvidencePool, Task, counted_as, input_bytes};
 use super::failures::{map_exists, map_not_found, store_error, store_failure, thread_failed};
 use super::fair::Places;
 use super::gate::Gate;
@@ -399,8 +399,7 @@ impl Registry {
         }
         let entry = self.find(name)?;
         let opened = self.opened(&entry).await?;
-        // A request of several robots counts as the first one's.
-        let robot = scans.first().map_or("", |scan| scan.robot.as_str());
+        let robot = counted_as(&scans);
         let place = match when_full {
             WhenFull::Wait => opened.places.wait(robot).await.ok_or_else(|| map_not_found(name))?,
             WhenFull::Refuse => opened.places.take(robot)?,

@@ -109,7 +109,7 @@ impl Replay {
         }
         let names = self.robot_names()?;
         let client = Client::new(&self.server)?;
-        let mut reader = open_log(&self.log, &self.bag)?;
+        let mut reader = open_log(&self.log, &self.bag, self.scans.pose_error)?;
         // A log without a scan makes no map.
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
@@ -275,7 +275,7 @@ impl Replay {
             return Ok(None);
         }
         let limit = self.limit.map_or(u64::MAX, NonZeroU64::get);
-        let scans = open_log(&self.log, &self.bag)?.take_while(Result::is_ok).map(drop);
+        let scans = open_log(&self.log, &self.bag, self.scans.pose_error)?.take_while(Result::is_ok).map(drop);
         Ok(Some((0..limit).zip(scans).count() as u64))
     }
 

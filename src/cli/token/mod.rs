@@ -196,7 +196,7 @@ impl List {
 impl Revoke {
     fn run(&self) -> Result<(), Failure> {
         let file = self.file.needed()?;
-        TokenFile::read(&file)?.remove(&self.name)?;
+        TokenFile::read_to_change(&file)?.remove(&self.name)?;
         if self.json {
             return say_json(&json!({ "revoked": self.name, "file": file.display().to_string() }));
         }
