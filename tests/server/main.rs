@@ -8,6 +8,7 @@ mod access_routes;
 mod access_support;
 mod bag_support;
 mod bags;
+mod bags_hostile;
 mod bags_refused;
 mod cli_access;
 mod cli_build;
