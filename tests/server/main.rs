@@ -42,6 +42,7 @@ mod http_support;
 mod http_system;
 mod http_transfer;
 mod http_viewer;
+mod json_numbers;
 mod kill;
 mod limits_connections;
 mod limits_memory;
