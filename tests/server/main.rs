@@ -15,6 +15,7 @@ mod cli_build;
 mod cli_experiment;
 mod cli_files;
 mod cli_help;
+mod cli_newcomer;
 mod cli_picture;
 mod cli_preflight;
 mod cli_server;
