@@ -140,3 +140,31 @@ fn a_name_that_is_given_anew_is_never_answered_with_what_it_kept_before() {
         });
     });
 }
+
+#[test]
+fn a_snapshot_that_was_read_while_its_map_was_deleted_stayed_in_memory() {
+    let expected = Expected::new(4);
+    explore(300, move || {
+        block_on(async {
+            let scene = Scene::new(&expected, Scene::tight()).await;
+            scene.insert(vec![scan("a", 1)]).await.unwrap();
+            scene.service.take_snapshot(&scene.name, &snapshot()).await.unwrap();
+            let viewer = {
+                let scene = scene.clone();
+                spawn(async move {
+                    match scene.service.view(&scene.name, Some(&snapshot())).await {
+                        Ok(view) => assert_eq!(view.revision(), 1),
+                        Err(error) => {
+                            let gone = [ErrorKind::MapNotFound, ErrorKind::SnapshotNotFound];
+                            assert!(gone.contains(&error.kind), "{error:?}");
+                        }
+                    }
+                })
+            };
+            scene.service.delete_map(&scene.name).await.unwrap();
+            viewer.await.unwrap();
+            assert_eq!(scene.service.registry.snapshots.bytes(), 0, "a snapshot of a map that is gone");
+            scene.all_is_given_back().await;
+        });
+    });
+}
