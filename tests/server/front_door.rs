@@ -175,7 +175,7 @@ fn what_was_thrown_away_of_a_body_stayed_counted() {
     };
     // One that is too large, and one whose sender is not known: both are read on for a while, so that the answer is seen.
     for (token, sent) in [(gate.token("reader"), 1_500_000), ("nobody", 900_000)] {
-        let slow = begin(&token, sent);
+        let slow = begin(token, sent);
         std::thread::sleep(Duration::from_millis(300));
         let held = incoming(&gate.site);
         assert!(held < 200_000, "{held}");
