@@ -6,7 +6,7 @@ use super::options::{MapOptions, SENSOR, SensorOptions, at_least_one, check_png,
 use super::output::{Failure, Progress, causes, note, say, say_json, write_whole};
 use crate::interval::Interval;
 use crate::logs::{BagOptions, LogReader, LogScan, PoseError};
-use crate::mapping::Surveyor;
+use crate::mapping::{EvidenceRule, Surveyor};
 use crate::picture::{Picture, known_range};
 use crate::quadtree::{Grid, LeafRange, TreeStatistics};
 use crate::sensor::{PoseBox, PoseLimits, Scan, ScanError, ScanLimits, ScanSpec, SensorModel};
@@ -108,6 +108,17 @@ pub(super) fn tell_choice(reader: &LogReader) {
     }
 }
 
+/// Says so where poses have no bounds and none were given: what is then proven rests on poses that are exact.
+pub(super) fn tell_exact_poses(reader: &LogReader, error: &PoseError, rule: EvidenceRule) {
+    let Some(Ok(scan)) = reader.first() else { return };
+    let (x, y, theta) = scan.pose.bounds(error);
+    if rule == EvidenceRule::Guaranteed && [x, y, theta].iter().all(|(min, max)| min == max) {
+        note(
+            "poses are taken for exact, and what is guaranteed rests on that: --pose-error M,ANGLE says how far off they may be",
+        );
+    }
+}
+
 /// Says how many scans of a log were passed over, and why.
 pub(super) fn tell_left_out(reader: &LogReader) {
     let (count, why) = reader.left_out();
@@ -136,6 +147,7 @@ impl Build {
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
         let config = map_config(&self.map, &self.sensor, reader.sensor())?;
+        tell_exact_poses(&reader, &self.scans.pose_error, config.rule());
         let threads = self.threads.or_else(|| std::thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get);
         let mut mapper = Mapper::new(config, threads)?;
         let damage = self.feed(&mut mapper, &mut reader)?;

@@ -8,7 +8,7 @@
 pub(super) mod sender;
 
 use super::bag::BagFlags;
-use super::build::{ScanOptions, check_first, open_log, tell_choice, tell_left_out};
+use super::build::{ScanOptions, check_first, open_log, tell_choice, tell_exact_poses, tell_left_out};
 use super::client::{Client, ClientError, ServerOptions, map_name};
 use super::options::{MapOptions, SENSOR, SensorOptions, at_least_one, given, map_config, span};
 use super::output::{Failure, Progress, note, rate_text, say, say_json};
@@ -113,6 +113,7 @@ impl Replay {
         // A log without a scan makes no map.
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
+        tell_exact_poses(&reader, &self.scans.pose_error, self.new_map.evidence.rule());
         let total = self.count()?;
         let known = self.known(&client, &reader)?;
         let done = self.already_done(&names, &known.robots)?;

@@ -111,13 +111,7 @@ pub async fn serve(
             let stream = TokioIo::new(Steady::new(stream, moving));
             let connection = builder.serve_connection(stream, TowerToHyperService::new(router));
             tokio::select! {
-                ended = watcher.watch(connection) => if let Err(error) = ended {
-                    if error.downcast_ref::<hyper::Error>().is_some_and(hyper::Error::is_timeout) {
-                        limit_hit(setting::HEADER_SECONDS);
-                    }
-                    // A client that went away or sent no HTTP: its affair.
-                    tracing::debug!(%error, "a connection ended early");
-                },
+                ended = watcher.watch(connection) => ended.unwrap_or_else(|error| ended_early(error.as_ref())),
                 () = client.stuck(moving) => tracing::debug!(%address, "closed: an answer was not taken for too long"),
                 () = over.cancelled() => tracing::debug!(%address, "closed: the server ends"),
                 () = client.idle(idle) => tracing::debug!(%address, "closed: nothing came for too long"),
@@ -126,15 +120,28 @@ pub async fn serve(
         });
     }
     drop(listener);
-    if tokio::time::timeout(limits.grace, graceful.shutdown()).await.is_err() {
+    end(graceful, &tasks, &over, limits.grace).await;
+}
+
+/// Waits for requests under way for the time of grace, and cuts off what is left: it holds the server's parts, and would do
+/// so for as long as its clients like.
+async fn end(graceful: GracefulShutdown, tasks: &TaskTracker, over: &CancellationToken, grace: Duration) {
+    if tokio::time::timeout(grace, graceful.shutdown()).await.is_err() {
         tracing::warn!("requests were still under way at the end of the time of grace");
     }
-    // What is left holds the server's parts, and would do so for as long as its clients like.
     over.cancel();
     tasks.close();
     if tokio::time::timeout(LAST, tasks.wait()).await.is_err() {
         tracing::warn!("connections did not end with the server");
     }
+}
+
+fn ended_early(error: &(dyn std::error::Error + Send + Sync + 'static)) {
+    if error.downcast_ref::<hyper::Error>().is_some_and(hyper::Error::is_timeout) {
+        limit_hit(setting::HEADER_SECONDS);
+    }
+    // A client that went away or sent no HTTP: its affair.
+    tracing::debug!(%error, "a connection ended early");
 }
 
 fn builder(limits: &ServeLimits) -> Builder<TokioExecutor> {
