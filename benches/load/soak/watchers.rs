@@ -45,7 +45,7 @@ fn follow(shared: &Shared, last: &mut Option<u64>) -> Result<(), String> {
     for line in BufReader::new(answer.into_body().into_reader()).lines() {
         let line = line.map_err(|error| error.to_string())?;
         if shared.is_over() {
-            break;
+            return Ok(());
         }
         let Some(data) = line.strip_prefix("data:") else { continue };
         let message: serde_json::Value = serde_json::from_str(data).map_err(|error| error.to_string())?;
