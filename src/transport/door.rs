@@ -186,6 +186,12 @@ impl Door {
         place(&self.0.transfers, TRANSFERS, setting::TRANSFERS, full)
     }
 
+    /// The longest time for one operation.
+    #[must_use]
+    pub fn request_timeout(&self) -> Duration {
+        self.0.settings.request_timeout
+    }
+
     /// How long the transfer of one file may take.
     #[must_use]
     pub fn transfer_timeout(&self) -> Duration {

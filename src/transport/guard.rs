@@ -45,7 +45,7 @@ pub fn admit(
     };
     let held = door.incoming().hold();
     parts.extensions.insert(Arc::clone(&held));
-    let body = intake::counted(body, Arc::clone(&held), shape, wrap);
+    let body = intake::counted(body, Arc::clone(&held), shape, door.request_timeout(), wrap);
     // What comes as a stream is counted by its reader, for as long as it reads.
     let _incoming = (shape == Shape::Whole).then_some(held);
     Ok((Request::from_parts(parts, body), Admitted { _incoming, under_way }))

@@ -6,10 +6,13 @@ use axum::body::{Body, Bytes, HttpBody};
 use axum::response::Response;
 use hyper::body::{Frame, SizeHint};
 use metrics::{describe_gauge, gauge};
+use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
+use tokio::time::{Sleep, sleep};
 
 const INCOMING: &str = "ubbmap_incoming_bytes";
 const ANSWERS: &str = "ubbmap_answer_bytes";
@@ -156,12 +159,17 @@ struct Incoming {
     prefix: Vec<u8>,
     /// What of the message is still to come.
     rest: usize,
+    /// How long a message or line may take from its first byte to its last: while it comes it holds memory that others want.
+    patience: Duration,
+    /// Runs while one is coming.
+    coming: Option<Pin<Box<Sleep>>>,
     wrap: fn(ServiceError) -> Error,
 }
 
-/// Counts a body's bytes. `wrap` makes of a refusal what the body's reader knows.
-pub fn counted(body: Body, held: Arc<Held>, shape: Shape, wrap: fn(ServiceError) -> Error) -> Body {
-    Body::new(Incoming { body, held, shape, begun: 0, prefix: Vec::new(), rest: 0, wrap })
+/// Counts a body's bytes, and ends one of which a message or line has begun and takes longer than `patience`. `wrap` makes of a
+/// refusal what the body's reader knows.
+pub fn counted(body: Body, held: Arc<Held>, shape: Shape, patience: Duration, wrap: fn(ServiceError) -> Error) -> Body {
+    Body::new(Incoming { body, held, shape, begun: 0, prefix: Vec::new(), rest: 0, patience, coming: None, wrap })
 }
 
 impl Incoming {
@@ -170,6 +178,9 @@ impl Incoming {
             Shape::Whole => self.held.grow(data.len()),
             Shape::Lines => {
                 let end = data.iter().rposition(|byte| *byte == b'\n');
+                if end.is_some() {
+                    self.coming = None;
+                }
                 self.begun = end.map_or(self.begun + data.len(), |end| data.len() - end - 1);
                 self.held.set(self.begun)
             }
@@ -178,6 +189,26 @@ impl Incoming {
                 self.held.set(self.begun)
             }
         }
+    }
+
+    /// Is it too late for the rest of what has begun? A body that is held whole begins when it is first waited for; between two
+    /// messages or lines there may be any time.
+    fn is_late(&mut self, context: &mut Context<'_>) -> bool {
+        if self.shape != Shape::Whole && self.begun == 0 {
+            return false;
+        }
+        let patience = self.patience;
+        self.coming.get_or_insert_with(|| Box::pin(sleep(patience))).as_mut().poll(context).is_ready()
+    }
+
+    fn late(&self) -> ServiceError {
+        let what = match self.shape {
+            Shape::Whole => "body",
+            Shape::Messages => "message",
+            Shape::Lines => "line",
+        };
+        let detail = format!("a {what} that has begun did not end within {} s", self.patience.as_secs_f64());
+        ServiceError::over(ErrorKind::Timeout, setting::REQUEST_SECONDS, detail)
     }
 
     /// Goes over the messages that end in `data`; `begun` is then what there is of the next.
@@ -198,7 +229,7 @@ impl Incoming {
                 self.rest -= part;
             }
             if self.rest == 0 && self.prefix.is_empty() {
-                self.begun = 0;
+                (self.begun, self.coming) = (0, None);
             }
         }
     }
@@ -209,9 +240,14 @@ impl HttpBody for Incoming {
     type Error = Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Error>>> {
-        let Some(frame) = ready!(Pin::new(&mut self.body).poll_frame(context)).transpose()? else {
-            return Poll::Ready(None);
+        let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(context) else {
+            if self.is_late(context) {
+                let late = self.late();
+                return Poll::Ready(Some(Err((self.wrap)(late))));
+            }
+            return Poll::Pending;
         };
+        let Some(frame) = frame.transpose()? else { return Poll::Ready(None) };
         if let Some(data) = frame.data_ref()
             && let Err(error) = self.take(data)
         {

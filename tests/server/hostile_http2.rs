@@ -1,7 +1,7 @@
 //! Clients of HTTP/2 that mean no good: floods of frames, heads without an end, streams that are opened and left.
 
 use crate::hostile_support::{PREFACE, Target, flood, frame, rest};
-use std::io::Write;
+use std::io::{Read, Write};
 use std::time::Duration;
 
 const DATA: u8 = 0;
@@ -63,6 +63,30 @@ fn streams_that_are_opened_and_left_are_as_many_as_they_may_be_and_go_with_their
     assert_eq!(target.metric("ubbmap_streams_open"), 8.0);
     assert!(target.is_served());
     Target::reset(silent);
+    target.is_none_the_worse();
+}
+
+#[test]
+fn a_message_of_grpc_that_stopped_half_way_held_memory_for_ever() {
+    let target = Target::with(&[("LIMITS__REQUEST_SECONDS", "0.5")]);
+    let mut waiting = target.send(PREFACE);
+    waiting.write_all(&frame(HEADERS, END_HEADERS, 1, &head("/ubbmap.v1.MapService/InsertScans"))).unwrap();
+    // A message of 1 MiB begins.
+    let before = target.hits("limits.request_seconds");
+    waiting.write_all(&frame(DATA, 0, 1, &[0, 0, 16, 0, 0, 1, 2, 3])).unwrap();
+    crate::limits_support::at_last(|| target.hits("limits.request_seconds") > before);
+    crate::limits_support::at_last(|| target.metric("ubbmap_incoming_bytes") == 0.0);
+    // Another call of the same connection goes on.
+    waiting.write_all(&frame(HEADERS, END_HEADERS, 3, &head("/ubbmap.v1.MapService/ListMaps"))).unwrap();
+    waiting.write_all(&frame(DATA, 1, 3, &[0; 5])).unwrap();
+    let (mut said, mut piece) = (Vec::new(), [0; 4096]);
+    // The name of the map is in the answer.
+    while !said.windows(4).any(|word| word == b"hall") {
+        let length = waiting.read(&mut piece).unwrap();
+        assert!(length > 0, "it is closed: {:?}", String::from_utf8_lossy(&said));
+        said.extend_from_slice(&piece[..length]);
+    }
+    drop(waiting);
     target.is_none_the_worse();
 }
 
