@@ -159,6 +159,7 @@ pub async fn drive(shared: Shared, robot: usize, period: Duration) {
 
 type Client = MapServiceClient<Channel>;
 
+#[expect(clippy::large_enum_variant, reason = "there is one a robot")]
 enum Link {
     Stream(Client, Option<(mpsc::Sender<v1::StreamScansRequest>, Streaming<v1::StreamScansResponse>)>),
     Unary(Client),

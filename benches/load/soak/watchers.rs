@@ -117,7 +117,7 @@ async fn keep(shared: &Shared, copy: &mut Copy) -> Result<(), String> {
             shared.anew.fetch_add(1, Ordering::Relaxed);
         } else if message.revision > copy.revision || first {
             for block in message.blocks {
-                copy.blocks.insert((block.x, block.y), block.classes.into());
+                copy.blocks.insert((block.x, block.y), block.classes);
             }
             copy.revision = message.revision;
         }
