@@ -66,7 +66,7 @@ pub enum AppError {
 }
 
 /// What helps where an address is taken.
-fn way_out(error: &std::io::Error) -> &'static str {
+pub(crate) fn way_out(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::AddrInUse => {
             ": another program has it; --listen names another address, and port 0 takes a free one"
@@ -86,6 +86,8 @@ pub async fn serve(config: Config, ready: impl FnOnce(SocketAddr)) -> Result<(),
     config.check()?;
     // Read again when the server starts; a fault in the files should not wait for a large store.
     files::tls(&config).await?;
+    config.access()?;
+    config.zenoh_users()?;
     // A server that cannot listen leaves no new store behind.
     let bound = bind(&config).await?;
     let store = open_store(&config).await?;
@@ -205,6 +207,7 @@ impl Server {
             transfers: limits.transfers,
             request_timeout: seconds(limits.request_seconds),
             transfer_timeout: seconds(limits.transfer_seconds),
+            idle_timeout: seconds(limits.idle_seconds),
         });
         let (access, tokens) = files::access(config)?;
         watched.extend(tokens);
@@ -255,6 +258,12 @@ impl Server {
     #[must_use]
     pub fn administration(&self) -> Option<SocketAddr> {
         self.administration.as_ref().map(|listening| listening.address)
+    }
+
+    /// The door that all requests pass.
+    #[must_use]
+    pub fn door(&self) -> &Door {
+        &self.door
     }
 
     /// Who may come in.

@@ -5,6 +5,7 @@
 //! | floor | module | what lives there |
 //! | --- | --- | --- |
 //! | 0 | [`interval`] | outward-rounded intervals, boxes, three-valued verdicts |
+//! | 0 | `sync` | the locks and atomics of what runs at once |
 //! | 0 | [`vector`] | functions compiled once for each set of vector instructions |
 //! | 1 | [`sensor`] | pose boxes, sensor models, validated scans, measurement sets |
 //! | 1 | [`quadtree`] | node addresses, blocks, the k-class occupancy quadtree |
@@ -18,11 +19,17 @@
 //!
 //! Floors 0 to 2 do no I/O, read no clock and are not async; they build with `--no-default-features`.
 
+#[cfg(all(feature = "server", feature = "shuttle"))]
+compile_error!(
+    "the feature `shuttle` is for tests of schedules and runs nothing else: build with `--no-default-features`"
+);
+
 pub mod interval;
 pub mod mapping;
 pub mod quadtree;
 pub mod sensor;
 pub mod simulation;
+mod sync;
 pub mod vector;
 
 #[cfg(feature = "server")]
@@ -39,9 +46,9 @@ pub mod logs;
 pub mod picture;
 #[cfg(feature = "server")]
 pub mod reload;
-#[cfg(feature = "server")]
+#[cfg(feature = "service")]
 pub mod service;
-#[cfg(feature = "server")]
+#[cfg(feature = "service")]
 pub mod store;
 #[cfg(feature = "server")]
 pub mod telemetry;

@@ -48,9 +48,16 @@ const ROUTES: [&str; 16] = [
     "/v1/maps/{}/import",
     "/{}",
 ];
-const KINDS: [&str; 6] =
-    ["application/json", "application/x-ndjson", "application/x-protobuf", "application/octet-stream", "text/plain", ""];
-const ACCEPTS: [&str; 6] = ["*/*", "application/json", "image/png", "application/x-npy", "application/x-protobuf", "a/b;q=x"];
+const KINDS: [&str; 6] = [
+    "application/json",
+    "application/x-ndjson",
+    "application/x-protobuf",
+    "application/octet-stream",
+    "text/plain",
+    "",
+];
+const ACCEPTS: [&str; 6] =
+    ["*/*", "application/json", "image/png", "application/x-npy", "application/x-protobuf", "a/b;q=x"];
 
 struct Site {
     runtime: tokio::runtime::Runtime,
@@ -71,12 +78,19 @@ fn router() -> axum::Router {
     let patience = Duration::from_secs(20);
     let door = Door::new(DoorSettings {
         requests: 16,
+        insertions: 12,
         streams: 4096,
+        streams_per_client: 4096,
+        connections_per_client: 16,
+        header_bytes: 1 << 14,
+        incoming_bytes: 1 << 20,
+        answer_bytes: 1 << 24,
         transfers: 4,
         request_timeout: patience,
         transfer_timeout: patience,
     });
-    let limits = HttpSettings { body_bytes: 1 << 16, config_bytes: 1 << 14, import_bytes: 1 << 16, scans_per_stream: 4 };
+    let limits =
+        HttpSettings { body_bytes: 1 << 16, config_bytes: 1 << 14, import_bytes: 1 << 16, scans_per_stream: 4 };
     let outside = OutsideView { metrics: Box::new(String::new), reachable: Box::new(|| true) };
     http::router(Guarded::new(service, Access::open(false)), limits, door, outside)
 }

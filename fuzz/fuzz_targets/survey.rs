@@ -8,9 +8,7 @@ use std::collections::BTreeMap;
 use ubbmap::mapping::reference::Reference;
 use ubbmap::mapping::{EvidenceRule, MapConfig, Surveyor};
 use ubbmap::quadtree::{BlockMasks, ClassScale, Grid, NodeAddress};
-use ubbmap::sensor::{
-    Angles, Mount, PoseBox, PoseLimits, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec,
-};
+use ubbmap::sensor::{Angles, Mount, PoseBox, PoseLimits, Scan, ScanLimits, ScanSpec, SensorModel, SensorSpec};
 use ubbmap::vector::Path;
 
 /// Numbers that break arithmetic.
@@ -84,13 +82,17 @@ fn scan(from: &mut Unstructured<'_>, sensor: SensorModel) -> Result<Option<Scan>
     Ok(Scan::new(spec, sensor, &ScanLimits::default()).ok())
 }
 
-/// Do two beams have one direction?
-fn has_twins(scan: &Scan) -> bool {
+/// Do two beams have one direction, and does it matter which of them comes first? To a sensor that moves, always; to one that
+/// is still, where they tell different ranges.
+fn has_twins(scan: &Scan, moves: bool) -> bool {
     let turn = std::f64::consts::TAU;
-    let mut angles: Vec<f64> = (0..scan.beams()).map(|beam| scan.angle(beam).rem_euclid(turn)).collect();
-    angles.sort_by(f64::total_cmp);
-    let wraps = angles.first().zip(angles.last()).is_some_and(|(first, last)| first + turn - last < 1e-9);
-    wraps || angles.windows(2).any(|pair| pair[1] - pair[0] < 1e-9)
+    let mut beams: Vec<(f64, f32)> =
+        (0..scan.beams()).map(|beam| (scan.angle(beam).rem_euclid(turn), scan.spec().ranges[beam])).collect();
+    beams.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let are_twins = |a: (f64, f32), b: (f64, f32)| b.0 - a.0 < 1e-9 && (moves || a.1.to_bits() != b.1.to_bits());
+    let seam = beams.first().zip(beams.last());
+    seam.is_some_and(|(first, last)| are_twins(*last, (first.0 + turn, first.1)))
+        || beams.windows(2).any(|pair| are_twins(pair[0], pair[1]))
 }
 
 fn check(from: &mut Unstructured<'_>) -> Result<()> {
@@ -112,8 +114,9 @@ fn check(from: &mut Unstructured<'_>) -> Result<()> {
         assert!(masks == Surveyor::on(path).survey(&config, &scan), "{path:?} tells other sets");
     }
     let moves = scan.spec().sweep_rotation > 0.0 || scan.spec().sweep_translation > 0.0;
-    if moves && has_twins(&scan) {
-        // Either of two beams in one direction may come first, and which does tells what the motion between neighbours is.
+    if has_twins(&scan, moves) {
+        // Either of two beams in one direction may come first, and which does tells whose neighbour it is and what the motion
+        // between them is. Both orders prove what they prove.
         return Ok(());
     }
     let reference = Reference::new(&scan, config.min_obstacle_width());

@@ -35,7 +35,7 @@ pub(super) struct BagFlags {
 }
 
 impl BagFlags {
-    /// How bags are read.
+    /// How bags are read, but for the error of their poses.
     pub(super) fn options(&self) -> BagOptions {
         let usual = BagOptions::default();
         BagOptions {
@@ -47,6 +47,7 @@ impl BagFlags {
             max_gap: self.max_gap.unwrap_or(usual.max_gap),
             max_acceleration: self.max_acceleration.unwrap_or(usual.max_acceleration),
             sweep: !self.no_sweep,
+            ..usual
         }
     }
 

@@ -2,12 +2,13 @@
 
 use super::bag::BagFlags;
 use super::mapper::{BATCH, Mapper};
-use super::options::{MapOptions, SENSOR, SensorOptions, map_config, rule_name};
+use super::options::{MapOptions, SENSOR, SensorOptions, at_least_one, check_png, map_config, rule_name};
 use super::output::{Failure, Progress, causes, note, say, say_json, write_whole};
-use crate::logs::{LogReader, LogScan, PoseError};
+use crate::interval::Interval;
+use crate::logs::{BagOptions, LogReader, LogScan, PoseError};
 use crate::mapping::Surveyor;
 use crate::picture::{Picture, known_range};
-use crate::quadtree::{LeafRange, TreeStatistics};
+use crate::quadtree::{Grid, LeafRange, TreeStatistics};
 use crate::sensor::{PoseBox, PoseLimits, Scan, ScanError, ScanLimits, ScanSpec, SensorModel};
 use crate::store::{LoadedMap, write_map_file};
 use anyhow::Context;
@@ -43,13 +44,13 @@ pub(super) struct Build {
     #[command(flatten)]
     bag: BagFlags,
     /// Use every Nth scan of the log
-    #[arg(long, default_value = "1", value_name = "N", help_heading = "Run")]
+    #[arg(long, default_value = "1", value_name = "N", value_parser = at_least_one::<NonZeroUsize>, help_heading = "Run")]
     every: NonZeroUsize,
     /// Stop after N scans
-    #[arg(long, value_name = "N", help_heading = "Run")]
+    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroU64>, help_heading = "Run")]
     limit: Option<NonZeroU64>,
     /// Threads that compute evidence; 1 holds the whole build to one core [default: one a core]
-    #[arg(long, value_name = "N", help_heading = "Run")]
+    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroUsize>, help_heading = "Run")]
     threads: Option<NonZeroUsize>,
     /// Print the counts as one JSON object
     #[arg(long, help_heading = "Run")]
@@ -61,7 +62,7 @@ pub(super) struct Build {
 #[command(next_help_heading = "Scans")]
 pub(super) struct ScanOptions {
     /// How far poses may be off, where the log has no boxes for them: metres, then an angle with its unit, as 0.02,0.5deg
-    #[arg(long, default_value = "0,0deg", value_name = "M,ANGLE")]
+    #[arg(long, default_value = "0,0deg", value_name = "M,ANGLE", allow_hyphen_values = true)]
     pub(super) pose_error: PoseError,
     /// Radius about the laser that holds nothing but the robot, metres [default: the log's, or 0]
     #[arg(long, value_name = "M")]
@@ -91,8 +92,9 @@ impl ScanOptions {
 ///
 /// # Errors
 /// Names the file.
-pub(super) fn open_log(path: &Path, bag: &BagFlags) -> Result<LogReader, Failure> {
-    let reader = LogReader::open_with(path, ScanLimits::default(), &bag.options()).context("cannot read the log")?;
+pub(super) fn open_log(path: &Path, bag: &BagFlags, pose_error: PoseError) -> Result<LogReader, Failure> {
+    let options = BagOptions { pose_error, ..bag.options() };
+    let reader = LogReader::open_with(path, ScanLimits::default(), &options).context("cannot read the log")?;
     if let Some(flag) = bag.given().filter(|_| reader.chosen().is_none()) {
         return Err(Failure::Usage(format!("--{flag} is for ROS 2 bags, and {} is none", path.display())));
     }
@@ -130,7 +132,7 @@ impl Build {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
         self.check_targets()?;
-        let mut reader = open_log(&self.log, &self.bag)?;
+        let mut reader = open_log(&self.log, &self.bag, self.scans.pose_error)?;
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
         let config = map_config(&self.map, &self.sensor, reader.sensor())?;
@@ -174,7 +176,7 @@ impl Build {
         if png.is_some_and(|png| png == self.out || same_file(png, &self.out)) {
             return Err(Failure::Usage("--out and --png name the same file".to_owned()));
         }
-        Ok(())
+        check_png(png)
     }
 
     /// Reads the log in batches and maps each; returns what ended the log early.
@@ -184,7 +186,7 @@ impl Build {
         let mut progress = Progress::new(size, "scans", self.json);
         let sensor = *mapper.config().sensors().get(SENSOR).context("the map has no sensor")?;
         let mut left = self.limit.map_or(u64::MAX, NonZeroU64::get);
-        let mut damage = None;
+        let (mut damage, mut outside) = (None, 0_u64);
         let mut scans = Vec::with_capacity(BATCH);
         let mut index = 0_usize;
         while damage.is_none() && left > 0 {
@@ -204,6 +206,7 @@ impl Build {
                 });
                 match checked {
                     Ok(Some(scan)) => {
+                        outside += u64::from(!is_inside(mapper.config().grid(), &scan));
                         scans.push(scan);
                         left -= 1;
                     }
@@ -221,6 +224,7 @@ impl Build {
             progress.update(read.load(Ordering::Relaxed), mapper.scans());
         }
         progress.finish();
+        tell_outside(mapper.config().grid(), outside);
         Ok(damage)
     }
 
@@ -283,7 +287,8 @@ impl Counts {
     fn json(&self, mapper: &Mapper, build: &Build, threads: usize, file_bytes: u64, left_out: u64) -> Value {
         let grid = mapper.config().grid();
         let bounds = self.known.map(|known| {
-            let at = |origin: f64, index: u32| origin + f64::from(index) * grid.resolution();
+            // Without the last digits of the arithmetic, which say nothing: rounded to nanometres.
+            let at = |origin: f64, index: u32| ((origin + f64::from(index) * grid.resolution()) * 1e9).round() / 1e9;
             let (x, y) = grid.origin();
             json!({
                 "min_x": at(x, known.min_x), "min_y": at(y, known.min_y),
@@ -358,6 +363,24 @@ impl Build {
             "limit": self.limit,
             "threads": threads,
         })
+    }
+}
+
+/// Is the robot in the map for sure?
+fn is_inside(grid: &Grid, scan: &Scan) -> bool {
+    let (bounds, pose) = (grid.bounds(), &scan.spec().pose);
+    let within = |outer: Interval, inner: Interval| outer.lo() <= inner.lo() && inner.hi() <= outer.hi();
+    within(bounds.x, pose.x()) && within(bounds.y, pose.y())
+}
+
+/// Says how many scans were taken where the map does not reach: what they see there is lost.
+fn tell_outside(grid: &Grid, outside: u64) {
+    if outside > 0 {
+        let ((x, y), side) = (grid.origin(), grid.node_size(0));
+        note(&format!(
+            "{outside} scans were taken beyond the map, which is {side} m wide from {x},{y} on: another --depth or --origin \
+             makes it larger or moves it"
+        ));
     }
 }
 

@@ -1,9 +1,9 @@
 //! `ubbmap check`: a guaranteed-free query.
 
-use super::client::{Client, ServerOptions, map_name};
+use super::client::{Client, ClientError, ServerOptions, map_name, snapshot_name};
 use super::options::numbers;
 use super::output::{Failure, say, say_json};
-use crate::store::MapName;
+use crate::store::{MapName, SnapshotName};
 use crate::wire::v1::{self, region::Shape};
 use clap::Args;
 
@@ -33,6 +33,9 @@ pub(super) struct Check {
     /// How many of the scans applied there may have broken an assumption
     #[arg(long, default_value_t = 0, value_name = "Q")]
     tolerance: u32,
+    /// Ask this snapshot of the map, not the map as it is now
+    #[arg(long, value_name = "NAME", value_parser = snapshot_name)]
+    snapshot: Option<SnapshotName>,
     /// Exit with code 1 unless every region is guaranteed free
     #[arg(long)]
     require_free: bool,
@@ -59,8 +62,12 @@ impl Check {
             return Err(Failure::Usage("name a region: --box, --disc, --polygon or --path".to_owned()));
         }
         let client = Client::new(&self.server)?;
-        let answer =
-            client.check(&self.map, regions, self.tolerance).map_err(|error| client.explain(&self.map, error))?;
+        let answer = client.check(&self.map, self.snapshot.as_ref(), regions, self.tolerance);
+        let answer = answer.map_err(|error| match (in_the_words_of_the_flags(&error, &names), &self.snapshot) {
+            (Some(usage), _) => usage,
+            (None, Some(snapshot)) => client.explain_snapshot(&self.map, snapshot, error),
+            (None, None) => client.explain(&self.map, error),
+        })?;
         if self.json {
             say_json(&answer)?;
         } else {
@@ -77,6 +84,17 @@ impl Check {
         }
         Ok(())
     }
+}
+
+/// A region that makes no sense is bad usage, told by the name that its answer would have had.
+fn in_the_words_of_the_flags(error: &ClientError, names: &[String]) -> Option<Failure> {
+    let ClientError::Refused { code, detail, .. } = error else { return None };
+    if code != "INVALID_REGION" {
+        return None;
+    }
+    let (index, rest) = detail.strip_prefix("regions[")?.split_once("].")?;
+    let name = names.get(index.parse::<usize>().ok()?)?;
+    Some(Failure::Usage(format!("{name}: {rest} ({code})")))
 }
 
 fn describe(result: &v1::FreeResult) -> String {

@@ -247,15 +247,16 @@ impl Client {
         self.call("POST", &format!("/v1/maps/{map}/scans"), Some(request.encode_to_vec()))
     }
 
-    /// Asks whether regions are guaranteed free.
+    /// Asks whether regions are guaranteed free, in the map or in one of its snapshots.
     pub(super) fn check(
         &self,
         map: &MapName,
+        snapshot: Option<&SnapshotName>,
         regions: Vec<v1::Region>,
         tolerance: u32,
     ) -> Result<v1::CheckGuaranteedFreeResponse, ClientError> {
-        let request =
-            v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance, ..Default::default() };
+        let snapshot = snapshot.map(SnapshotName::to_string).unwrap_or_default();
+        let request = v1::CheckGuaranteedFreeRequest { map: map.as_str().to_owned(), regions, tolerance, snapshot };
         self.call("POST", &format!("/v1/maps/{map}/guaranteed-free"), Some(request.encode_to_vec()))
     }
 
@@ -403,7 +404,9 @@ impl Client {
         }
         Err(match serde_json::from_slice::<Problem>(&bytes) {
             Ok(problem) => {
-                let field = problem.field.map(|field| format!("{field}: ")).unwrap_or_default();
+                // Most sentences begin with the field already.
+                let field = problem.field.filter(|field| !problem.detail.starts_with(field.as_str()));
+                let field = field.map(|field| format!("{field}: ")).unwrap_or_default();
                 let detail = format!("{field}{}", problem.detail);
                 ClientError::Refused { status, code: problem.code, detail, retry_after }
             }

@@ -57,13 +57,13 @@ pub(super) struct Demo {
     #[arg(long, default_value_t = 6.0, value_name = "X", value_parser = super::replay::positive)]
     speed: f64,
     /// Map for so many seconds [default: until stopped, or 20 with --exit]
-    #[arg(long, value_name = "S", value_parser = super::replay::positive)]
+    #[arg(long, value_name = "S", value_parser = super::options::span)]
     duration: Option<f64>,
     /// End after the duration, with a summary; else serve on until stopped
     #[arg(long)]
     exit: bool,
     /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080, or a free port where that is taken]
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = crate::config::address)]
     listen: Option<SocketAddr>,
     /// Directory of the store, kept afterwards [default: a new one, deleted afterwards]
     #[arg(long, value_name = "DIR")]
@@ -94,6 +94,7 @@ impl Drop for Directory {
 impl Demo {
     /// Runs the command.
     pub(super) fn run(self) -> Result<(), Failure> {
+        super::options::check_png(self.png.as_deref())?;
         let directory = self.directory()?;
         let mut config = Config {
             listen: self.listen.unwrap_or(Config::default().listen),
@@ -205,7 +206,8 @@ impl Demo {
         };
         // Around a robot, and in the outer wall, whose corner is the origin.
         let regions = vec![disc(x, y, EXAMPLE_RADIUS), disc(0.0, 0.0, EXAMPLE_RADIUS)];
-        let answer = team.client.check(&team.map, regions, 0).map_err(|error| team.client.explain(&team.map, error))?;
+        let answer =
+            team.client.check(&team.map, None, regions, 0).map_err(|error| team.client.explain(&team.map, error))?;
         let verdict = |index: usize| answer.results.get(index).is_some_and(|result| result.free);
         if self.json {
             return say_json(&json!({

@@ -87,7 +87,7 @@ impl RunExperiment {
                 "--octomap: no file {driver}; benches/peers/run --build makes the driver"
             )));
         }
-        let reader = open_log(&self.log, &self.bag)?;
+        let reader = open_log(&self.log, &self.bag, self.pose_error)?;
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
         let model = self.sensor.model(reader.sensor())?;

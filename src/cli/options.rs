@@ -8,6 +8,8 @@ use crate::sensor::{SensorModel, SensorSpec};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, ValueEnum};
 use std::collections::BTreeMap;
+use std::num::NonZeroU64;
+use std::path::Path;
 
 /// The name of the one sensor that the command line describes.
 pub(super) const SENSOR: &str = "default";
@@ -158,6 +160,41 @@ pub(super) fn numbers(text: &str) -> Result<Vec<f64>, String> {
             Err(_) => Err(format!("{word:?} is not a number")),
         })
         .collect()
+}
+
+/// Refuses the name of a picture that other programs would take for another kind.
+///
+/// # Errors
+/// Bad usage.
+pub(super) fn check_png(path: Option<&Path>) -> Result<(), Failure> {
+    match path.and_then(Path::extension) {
+        Some(kind) if !kind.eq_ignore_ascii_case("png") => {
+            Err(Failure::Usage("--png: pictures are PNG: let the name end with .png".to_owned()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A count of one or more.
+///
+/// # Errors
+/// Says so of what is none.
+pub(super) fn at_least_one<T: TryFrom<NonZeroU64>>(text: &str) -> Result<T, String> {
+    let count = text.parse::<u64>().ok().and_then(NonZeroU64::new);
+    count.and_then(|count| T::try_from(count).ok()).ok_or_else(|| "must be a whole number of at least 1".to_owned())
+}
+
+/// Seconds above 0, as a number or with units: 90, 30s or 1m30s.
+///
+/// # Errors
+/// Says what would do.
+pub(super) fn span(text: &str) -> Result<f64, String> {
+    let seconds = match text.parse::<f64>() {
+        Ok(seconds) => Some(seconds),
+        Err(_) => humantime::parse_duration(text).ok().map(|span| span.as_secs_f64()),
+    };
+    let fits = seconds.filter(|seconds| *seconds > 0.0 && *seconds <= 1e9);
+    fits.ok_or_else(|| "must be a time above 0: seconds, or with a unit as in 30s or 2m".to_owned())
 }
 
 fn pair(text: &str) -> Result<(f64, f64), String> {

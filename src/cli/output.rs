@@ -103,7 +103,7 @@ pub(super) fn write_whole(
     name.push(path.file_name().context("it has no file name")?);
     name.push(format!(".{}.partial", std::process::id()));
     let partial = path.with_file_name(name);
-    let mut file = BufWriter::new(File::create(&partial)?);
+    let mut file = BufWriter::new(made_new(&partial)?);
     let written = write(&mut file)
         .and_then(|()| Ok(file.into_inner().map_err(std::io::IntoInnerError::into_error)?))
         .and_then(|file| Ok((file.metadata()?.len(), file.sync_all()?)))
@@ -113,6 +113,18 @@ pub(super) fn write_whole(
         let _ = std::fs::remove_file(&partial);
     }
     written
+}
+
+/// A file that is made now. What has its name, left by a process that ended early or laid there by somebody else, is taken away
+/// and not written to: it may be a link to another file.
+fn made_new(partial: &Path) -> std::io::Result<File> {
+    match File::create_new(partial) {
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => {
+            std::fs::remove_file(partial)?;
+            File::create_new(partial)
+        }
+        made => made,
+    }
 }
 
 /// Writes a file that only its owner may read, as a whole: beside its place, and then moved there. A file that is there keeps

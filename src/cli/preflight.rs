@@ -1,6 +1,7 @@
 //! `ubbmap serve --check`: everything that can be told before the server starts, without starting it.
 
 use super::output::{Failure, say, say_json};
+use crate::app::way_out;
 use crate::config::{Config, ConfigError, Origins, StoreKind};
 use crate::store::{Peek, SledStore};
 use crate::transport::tls::Tls;
@@ -100,7 +101,7 @@ fn who_may(config: &Config) -> Result<String, String> {
 fn address(config: &Config) -> Result<String, String> {
     match TcpListener::bind(config.listen) {
         Ok(_) => Ok(format!("{} is free", config.listen)),
-        Err(error) => Err(format!("cannot listen on {}: {error}", config.listen)),
+        Err(error) => Err(format!("cannot listen on {}: {error}{}", config.listen, way_out(&error))),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::output::{Failure, say};
 use super::preflight;
 use crate::app::{self, AppError};
-use crate::config::{Config, ConfigError, Origins};
+use crate::config::{Config, ConfigError, Origins, address};
 use crate::telemetry::{self, Traces};
 use clap::Args;
 use std::net::SocketAddr;
@@ -21,7 +21,7 @@ pub(super) struct Serve {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8080]
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
     listen: Option<SocketAddr>,
     /// Directory of the store [default: ubbmap-data]
     #[arg(long, value_name = "DIR")]
@@ -36,7 +36,7 @@ pub(super) struct Serve {
     #[arg(long, value_name = "FILE")]
     tokens: Option<PathBuf>,
     /// Address of its own for administration and /metrics [default: none, they are at --listen]
-    #[arg(long, value_name = "ADDRESS")]
+    #[arg(long, value_name = "ADDRESS", value_parser = address)]
     admin_listen: Option<SocketAddr>,
     /// Allow an address beyond loopback although everyone who reaches it may read and change every map
     #[arg(long)]

@@ -42,13 +42,8 @@ impl Config {
         if self.admin_listen.is_empty() {
             return Ok(None);
         }
-        self.admin_listen.parse().map(Some).map_err(|_| ConfigError::Value {
-            key: "admin_listen".to_owned(),
-            problem: format!(
-                "must be an address and port such as 127.0.0.1:8081, or \"\", got {:?}",
-                self.admin_listen
-            ),
-        })
+        let read = super::address(&self.admin_listen).map(Some);
+        read.map_err(|problem| ConfigError::Value { key: "admin_listen".to_owned(), problem })
     }
 
     /// Reads who may come in.

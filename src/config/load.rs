@@ -110,10 +110,12 @@ impl Config {
             origins.insert((*key).to_owned(), "the command line".to_owned());
             builder = set(builder, key, value.clone())?;
         }
-        let loaded: Self =
-            builder.build().and_then(config::Config::try_deserialize).map_err(|error| value_error(&error))?;
-        loaded.check()?;
-        Ok((loaded, origins))
+        let loaded = builder.build().and_then(config::Config::try_deserialize).map_err(|error| value_error(&error));
+        let checked = loaded.and_then(|loaded: Self| loaded.check().map(|()| loaded));
+        match checked {
+            Ok(loaded) => Ok((loaded, origins)),
+            Err(error) => Err(error.given(&origins)),
+        }
     }
 
     /// Checks the values against each other and their ranges.
@@ -317,6 +319,19 @@ type Builder = config::ConfigBuilder<config::builder::DefaultState>;
 
 fn set(builder: Builder, key: &str, value: String) -> Result<Builder, ConfigError> {
     builder.set_override(key, value).map_err(|error| bad(key, error.to_string()))
+}
+
+impl ConfigError {
+    /// The same with where the value at fault was given, where that is known.
+    fn given(self, origins: &Origins) -> Self {
+        match self {
+            Self::Value { key, problem } => {
+                let from = origins.get(&key).map(|origin| format!(" (given in {origin})")).unwrap_or_default();
+                Self::Value { key, problem: format!("{problem}{from}") }
+            }
+            other => other,
+        }
+    }
 }
 
 fn bad(key: &str, problem: String) -> ConfigError {

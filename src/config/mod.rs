@@ -9,6 +9,7 @@ mod load;
 mod load_tests;
 mod telemetry;
 mod tls;
+mod words;
 mod zenoh;
 
 use crate::mapping::RegionLimits;
@@ -25,11 +26,12 @@ pub use error::ConfigError;
 pub use load::Origins;
 pub use telemetry::Telemetry;
 pub use tls::{ClientCertificates, Tls};
+pub(crate) use words::address;
 pub use zenoh::{Zenoh, ZenohMode};
 
 /// Where maps are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "lowercase", try_from = "String")]
 pub enum StoreKind {
     /// In the data directory, durable.
     Sled,
@@ -39,7 +41,7 @@ pub enum StoreKind {
 
 /// The form of the log lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "lowercase", try_from = "String")]
 pub enum LogFormat {
     /// For people.
     Text,
@@ -52,6 +54,7 @@ pub enum LogFormat {
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// Address to listen on.
+    #[serde(deserialize_with = "words::of_setting")]
     pub listen: SocketAddr,
     /// Origins whose pages may use this server from a browser, with commas between.
     pub cors_origins: String,

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 /// Whether clients show certificates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "lowercase", try_from = "String")]
 pub enum ClientCertificates {
     /// They are not asked.
     Off,

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 /// What part the server takes in a network of Zenoh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "lowercase", try_from = "String")]
 pub enum ZenohMode {
     /// None.
     Off,

@@ -1,9 +1,10 @@
 //! How much memory the insertions under way may hold.
 
 use super::{ErrorKind, ServiceError, setting};
+use crate::sync::{AtomicUsize, Mutex, MutexGuard};
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 
 /// Bytes that all insertions under way may hold together: their scans and their evidence until they are committed. While
 /// more than half is used, a robot that has something under way already gets more only up to its share.

@@ -10,12 +10,14 @@ use super::failures::map_not_found;
 use super::queries::{Area, QueryError, Root};
 use super::registry::Entry;
 use super::stamps::{BlockBox, bare};
+use super::tasks::watch;
 use super::{MapService, ServiceError, inline, metrics};
 use crate::quadtree::{BlockAddress, LeafRange, NodeAddress};
 use crate::store::{BlockStamp, MapId, MapName};
+use crate::sync::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tokio::sync::{broadcast, watch};
+use std::sync::{Arc, PoisonError};
+use tokio::sync::broadcast;
 
 /// Most cells that one answer holds: with them it stays below the 4 MiB that clients of gRPC take by default.
 const MAX_CELLS: usize = 3 << 20;
@@ -153,6 +155,7 @@ impl Watch {
                 continue;
             }
             tokio::select! {
+                biased;
                 () = self.entry.stop.cancelled() => return Err(map_not_found(self.entry.name())),
                 changed = self.revision.changed() => {
                     if changed.is_err() {

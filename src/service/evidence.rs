@@ -6,28 +6,23 @@ use super::fair::Place;
 use super::limits::over;
 use super::metrics;
 use super::robots::Sighting;
+use super::tasks::{Pool, each, mpsc, oneshot};
 use super::writer::{Job, Numbered, Published, Request, ScanEvidence};
-use super::{ErrorKind, InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings, setting};
+use super::{InsertAnswer, Rejection, ScanInput, ServiceError, ServiceSettings, setting};
 use crate::mapping::{MapConfig, Surveyor};
 use crate::quadtree::{BlockMasks, LeafMasks, RowMask};
 use crate::sensor::{Angles, PoseBox, Scan, ScanError, ScanSpec, SensorModel};
 use crate::store::{MapName, RobotName, SequenceVerdict};
-use rayon::prelude::*;
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Instant;
-use tokio::sync::{mpsc, oneshot};
 
 /// The sensor of scans that name none.
 const DEFAULT_SENSOR: &str = "default";
 
 /// Bytes of a decoded scan beside its ranges and angles, about.
 const SCAN_OVERHEAD: usize = 512;
-
-/// How far behind, in steps of `nice`: on a full core about a fifth of the time is left.
-#[cfg(target_os = "linux")]
-const BEHIND: i32 = 8;
 
 thread_local! {
     /// Scratch memory of this thread.
@@ -36,7 +31,7 @@ thread_local! {
 
 /// The threads that compute evidence, and the memory that all requests under way may hold.
 pub(super) struct EvidencePool {
-    threads: rayon::ThreadPool,
+    threads: Pool,
     pub(super) budget: Arc<Budget>,
 }
 
@@ -72,12 +67,7 @@ type Refusal = (&'static str, String);
 
 impl EvidencePool {
     pub(super) fn new(settings: &ServiceSettings) -> Result<Self, ServiceError> {
-        let threads = rayon::ThreadPoolBuilder::new()
-            .num_threads(settings.evidence_threads)
-            .thread_name(|i| format!("evidence-{i}"))
-            .start_handler(|_| step_back())
-            .build()
-            .map_err(|e| ServiceError::new(ErrorKind::Internal, format!("cannot start threads for evidence: {e}")))?;
+        let threads = Pool::new(settings.evidence_threads)?;
         Ok(Self { threads, budget: Arc::new(Budget::new(settings.max_bytes_in_flight)) })
     }
 
@@ -87,23 +77,20 @@ impl EvidencePool {
     }
 }
 
-/// Evidence is the work that there is most of, and may take all cores. Behind the threads that answer, it takes what they
-/// leave: a query does not wait for scans, however many there are.
-fn step_back() {
-    #[cfg(target_os = "linux")]
-    if let Err(error) = rustix::process::nice(BEHIND) {
-        // It only costs queries some milliseconds under full load.
-        tracing::debug!(%error, "a thread for evidence cannot step back");
-    }
-}
-
 /// Bytes that a request's decoded scans take, about.
 pub(super) fn input_bytes(scans: &[ScanInput]) -> usize {
     let angles = |angles: &Angles| match angles {
         Angles::Uniform { .. } => 0,
         Angles::Listed(list) => size_of_val(list.as_slice()),
     };
-    scans.iter().map(|scan| SCAN_OVERHEAD + size_of_val(scan.ranges.as_slice()) + angles(&scan.angles)).sum()
+    let one = |scan: &ScanInput| size_of_val(scan.ranges.as_slice()) + angles(&scan.angles) + scan.robot.len();
+    scans.iter().map(|scan| SCAN_OVERHEAD + one(scan)).sum()
+}
+
+/// Whose turn a request takes: that of the first scan's robot. One whose name is none, which will be refused, is nobody: its
+/// text is as long as a body may be, and would be kept.
+pub(super) fn counted_as(scans: &[ScanInput]) -> &str {
+    scans.first().map(|scan| scan.robot.as_str()).filter(|robot| RobotName::new(robot).is_ok()).unwrap_or_default()
 }
 
 impl Task {
@@ -113,8 +100,7 @@ impl Task {
         }
         let started = Instant::now();
         let scans = std::mem::take(&mut self.scans);
-        let prepared: Vec<Prepared> =
-            scans.into_par_iter().enumerate().map(|(index, scan)| self.prepare(index, scan)).collect();
+        let prepared = each(scans, |index, scan| self.prepare(index, scan));
         metrics::evidence(started.elapsed());
         let mut evidence = Vec::with_capacity(prepared.len());
         let mut answer = InsertAnswer { revision: self.published.revision, ..InsertAnswer::default() };

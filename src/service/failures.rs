@@ -1,5 +1,6 @@
 //! What a client reads when something below the service fails.
 
+use super::tasks::JoinError;
 use super::{ErrorKind, ServiceError};
 use crate::store::{MapFileError, MapName, SnapshotName, StoreError};
 
@@ -21,7 +22,7 @@ pub(super) fn file_failure(error: &MapFileError) -> ServiceError {
     ServiceError::new(ErrorKind::InvalidFile, error.to_string()).at("data")
 }
 
-pub(super) fn thread_failed(error: &tokio::task::JoinError) -> ServiceError {
+pub(super) fn thread_failed(error: &JoinError) -> ServiceError {
     tracing::error!(%error, "a thread of the service failed");
     ServiceError::new(ErrorKind::Internal, "the server failed while it worked on this request")
 }

@@ -6,10 +6,11 @@
 //! wait are let in by turns of robots, not in the order in which they came: one that sends ten times as much waits ten
 //! times as long, and the others do not.
 
+use super::tasks::oneshot;
 use super::{ErrorKind, ServiceError, setting};
+use crate::sync::{Mutex, MutexGuard};
 use std::collections::{HashMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use tokio::sync::oneshot;
+use std::sync::{Arc, PoisonError};
 
 /// One of so many places is kept for robots that have none.
 const KEPT: usize = 4;

@@ -1,8 +1,8 @@
 //! Who may still write: open until the service drains, and a count of the writes under way.
 
+use super::tasks::watch;
 use super::{ErrorKind, ServiceError};
 use std::sync::Arc;
-use tokio::sync::watch;
 
 /// Lets writes in until it is closed, and knows when the last of them is done.
 pub(super) struct Gate {

@@ -23,20 +23,23 @@ mod settings;
 mod snapshot_cache;
 mod snapshots;
 mod stamps;
+mod tasks;
 mod transfer;
 mod views;
 mod writer;
 
-#[cfg(test)]
+#[cfg(all(test, not(feature = "shuttle")))]
 mod budget_tests;
-#[cfg(test)]
+#[cfg(all(test, not(feature = "shuttle")))]
 mod evidence_tests;
-#[cfg(test)]
+#[cfg(all(test, not(feature = "shuttle")))]
 mod fair_tests;
-#[cfg(test)]
+#[cfg(all(test, not(feature = "shuttle")))]
 mod gate_tests;
-#[cfg(test)]
+#[cfg(all(test, feature = "server"))]
 mod metrics_tests;
+#[cfg(all(test, feature = "shuttle"))]
+mod schedules;
 
 use crate::mapping::{MapConfig, Region};
 use crate::quadtree::CacheStatistics;

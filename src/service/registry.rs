@@ -1,7 +1,7 @@
 //! Named maps: created and deleted durably, loaded when first used, each with its writer.
 
 use super::changes::{ChangeLog, NOTICES};
-use super::evidence::{EvidencePool, Task, input_bytes};
+use super::evidence::{EvidencePool, Task, counted_as, input_bytes};
 use super::failures::{map_exists, map_not_found, store_error, store_failure, thread_failed};
 use super::fair::Places;
 use super::gate::Gate;
@@ -11,6 +11,7 @@ use super::rescue::Rescue;
 use super::robots::Robots;
 use super::snapshot_cache::SnapshotCache;
 use super::stamps::time_of;
+use super::tasks::{self, CancellationToken, OnceCell, mpsc, oneshot};
 use super::writer::{Published, Request, Writer};
 use super::{
     CommitNotice, Created, ErrorKind, InsertAnswer, MapDescription, RobotDescription, ScanInput, ServiceError,
@@ -19,12 +20,11 @@ use super::{
 use crate::mapping::MapConfig;
 use crate::quadtree::BlockCache;
 use crate::store::{DamagedMap, MapId, MapName, MapStore, OpenMap, StoredMap};
-use arc_swap::ArcSwap;
+use crate::sync::{ArcSwap, RwLock};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use tokio::sync::{Mutex, OnceCell, Semaphore, broadcast, mpsc, oneshot};
-use tokio_util::sync::CancellationToken;
+use tokio::sync::{Mutex, Semaphore, broadcast};
 
 /// How long an insertion that waits for memory waits before it looks again.
 const MEMORY_PAUSE: Duration = Duration::from_millis(5);
@@ -50,7 +50,7 @@ pub(super) struct Registry {
     table: RwLock<Table>,
     /// Creations, deletions and changes of configurations, one after the other.
     changes: Mutex<()>,
-    pool: EvidencePool,
+    pub(super) pool: EvidencePool,
     pub(super) gate: Arc<Gate>,
     pub(super) heavy: Arc<Semaphore>,
     /// Tells of every commit.
@@ -87,7 +87,7 @@ pub(super) struct Entry {
     pub(super) config: ArcSwap<MapConfig>,
     /// The revision in the store while the map is not loaded: only a loaded map is written to.
     stored_revision: u64,
-    opened: OnceCell<Opened>,
+    pub(super) opened: OnceCell<Opened>,
     /// The snapshot that a damaged map can be rescued from.
     pub(super) rescue: Rescue,
     pub(super) changes: Arc<ChangeLog>,
@@ -209,7 +209,7 @@ impl Registry {
             max_name_bytes: self.settings.max_name_bytes,
             max_snapshots: self.settings.max_snapshots,
         };
-        tokio::spawn(writer.run(receiver, entry.stop.clone(), stopped.clone()));
+        tasks::spawn(writer.run(receiver, entry.stop.clone(), stopped.clone()));
         let places = Places::new(self.settings.queue_length);
         Ok(Opened { published, queue: sender, places, stopped, _counted: metrics::Loaded::new() })
     }
@@ -231,7 +231,7 @@ impl Registry {
             drop(changes);
             Ok(Created { created: false, map: registry.describe(&entry).await? })
         };
-        tokio::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
+        tasks::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
     }
 
     async fn create_new(&self, name: &MapName, config: MapConfig) -> Result<Created, ServiceError> {
@@ -311,7 +311,7 @@ impl Registry {
                 None => registry.delete_entry(&*registry.find(&name)?).await,
             }
         };
-        tokio::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
+        tasks::spawn(work).await.unwrap_or_else(|e| Err(thread_failed(&e)))
     }
 
     async fn delete_entry(&self, entry: &Entry) -> Result<(), ServiceError> {
@@ -399,8 +399,7 @@ impl Registry {
         }
         let entry = self.find(name)?;
         let opened = self.opened(&entry).await?;
-        // A request of several robots counts as the first one's.
-        let robot = scans.first().map_or("", |scan| scan.robot.as_str());
+        let robot = counted_as(&scans);
         let place = match when_full {
             WhenFull::Wait => opened.places.wait(robot).await.ok_or_else(|| map_not_found(name))?,
             WhenFull::Refuse => opened.places.take(robot)?,
@@ -411,7 +410,7 @@ impl Registry {
             if error.kind != ErrorKind::Busy || when_full == WhenFull::Refuse {
                 return Err(error);
             }
-            tokio::time::sleep(MEMORY_PAUSE).await;
+            tasks::sleep(MEMORY_PAUSE).await;
         }
         let (reply, answer) = oneshot::channel();
         self.pool.submit(Task {
@@ -488,5 +487,5 @@ pub(super) fn now() -> f64 {
 
 /// Runs what blocks on a thread for it.
 pub(super) async fn blocking<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> Result<T, ServiceError> {
-    tokio::task::spawn_blocking(work).await.map_err(|e| thread_failed(&e))
+    tasks::spawn_blocking(work).await.map_err(|e| thread_failed(&e))
 }

@@ -1,10 +1,11 @@
 //! What is left of a damaged map: the newest snapshot that can be read, named in the error that tells of the damage.
 
 use super::registry::{Entry, Registry, blocking};
+use super::tasks::OnceCell;
 use super::{ErrorKind, ServiceError};
 use crate::store::{MapId, MapStore, StoredSnapshot};
-use std::sync::{Arc, Mutex, PoisonError};
-use tokio::sync::OnceCell;
+use crate::sync::Mutex;
+use std::sync::{Arc, PoisonError};
 
 /// Snapshots that are tried: each is read whole.
 const TRIED: usize = 8;

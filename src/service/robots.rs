@@ -3,8 +3,9 @@
 use super::{MapService, ServiceError};
 use crate::sensor::PoseBox;
 use crate::store::{MapName, RobotName};
+use crate::sync::{Mutex, MutexGuard};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::PoisonError;
 
 /// What a scan says of its robot.
 #[derive(Debug, Clone, PartialEq)]

@@ -5,8 +5,9 @@ use super::writer::Published;
 use crate::mapping::MapConfig;
 use crate::quadtree::PagedTree;
 use crate::store::{BlockStamps, LoadedMap, MapId};
+use crate::sync::{Mutex, MutexGuard};
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use tokio::sync::Semaphore;
 
 /// The snapshots that were asked last, under a limit in bytes.

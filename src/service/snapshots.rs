@@ -8,13 +8,13 @@
 use super::failures::{map_not_found, snapshot_exists, store_failure};
 use super::gate::Inside;
 use super::registry::{blocking, now};
+use super::tasks::{oneshot, spawn_blocking};
 use super::writer::{Published, Request, Writer};
 use super::{ErrorKind, MapService, ServiceError, setting};
 use crate::quadtree::PageError;
 use crate::store::{Commit, Difference, MapId, MapName, SnapshotName, StoreError, StoredSnapshot};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use tokio::sync::oneshot;
 
 /// A request about one snapshot at the writer.
 pub(super) struct Errand<T> {
@@ -117,7 +117,7 @@ impl MapService {
     fn keep_copy(&self, map: &MapName, id: MapId) {
         let Ok(inside) = self.registry.gate.enter() else { return };
         let (store, map) = (Arc::clone(&self.registry.store), map.clone());
-        tokio::task::spawn_blocking(move || {
+        spawn_blocking(move || {
             let _inside = inside;
             match store.keep_copy(id) {
                 // A map or snapshot that was deleted meanwhile needs no copy.

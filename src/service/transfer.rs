@@ -4,6 +4,7 @@ use super::failures::{file_failure, store_failure, thread_failed};
 use super::nav2::{Drawing, Nav2Mode};
 use super::queries::{QueryError, checked_depth};
 use super::registry::{Registry, blocking, now};
+use super::tasks::spawn;
 use super::{ErrorKind, MapService, MapVersion, ServiceError};
 use crate::mapping::MapConfig;
 use crate::quadtree::PagedTree;
@@ -178,6 +179,6 @@ impl Registry {
             tracing::info!(map = %name, id = id.0, revision, "imported");
             Ok(MapVersion { map_id: id.0, revision })
         };
-        tokio::spawn(work).await.unwrap_or_else(|error| Err(thread_failed(&error)))
+        spawn(work).await.unwrap_or_else(|error| Err(thread_failed(&error)))
     }
 }

@@ -60,12 +60,17 @@ impl MapService {
         if let Some(found) = cache.find(id, stored.revision) {
             return Ok(loaded_as_root(id, config, found));
         }
-        let (store, cache, name) = (Arc::clone(&self.registry.store), Arc::clone(cache), stored.name);
+        let (registry, map_name, name) = (Arc::clone(&self.registry), map.clone(), stored.name);
         // It is read to its end and kept when the caller leaves, so that a large one is there when it is asked for again.
         let read = move || {
             let _turn = turn;
-            let loaded = store.load_snapshot(id, &name).map_err(super::queries::QueryError::Store)?;
-            Ok(cache.keep(id, loaded))
+            let loaded = registry.store.load_snapshot(id, &name).map_err(super::queries::QueryError::Store)?;
+            let kept = registry.snapshots.keep(id, loaded);
+            // Who deletes a map takes it out of the table and then its snapshots from the cache: one of the two sees this.
+            if !registry.find(&map_name).is_ok_and(|entry| entry.id == id) {
+                registry.snapshots.forget(id);
+            }
+            Ok(kept)
         };
         Ok(loaded_as_root(id, config, self.apart("snapshot", map, read).await?))
     }

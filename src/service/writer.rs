@@ -14,18 +14,17 @@ use super::metrics;
 use super::registry::now;
 use super::robots::{Robots, Sighting};
 use super::snapshots::Errand;
+use super::tasks::{CancellationToken, mpsc, oneshot, spawn_blocking};
 use super::{ErrorKind, InsertAnswer, Rejection, ServiceError, setting};
 use crate::quadtree::{BlockAddress, BlockPager, Held, LeafMasks, PageError, PagedTree};
 use crate::store::{
     BlockStamp, BlockStamps, Commit, MapId, MapName, MapStore, RobotName, SequenceVerdict, SequenceWindow, StoreError,
     StoredSnapshot,
 };
-use arc_swap::ArcSwap;
+use crate::sync::ArcSwap;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
-use tokio::sync::{mpsc, oneshot};
-use tokio_util::sync::CancellationToken;
 
 /// A map at one revision, all of it durable.
 #[derive(Debug)]
@@ -41,6 +40,7 @@ pub(super) struct Published {
 }
 
 /// What comes to a map's writer, done in the order of arrival.
+#[cfg_attr(feature = "shuttle", expect(clippy::large_enum_variant, reason = "atomics of shuttle are large"))]
 pub(super) enum Request {
     /// Several of them are one round.
     Scans(Job),
@@ -169,7 +169,7 @@ impl Writer {
                 Request::Snapshot(errand) => Box::new(move || errand.run(|name| worker.take_snapshot(name))),
                 Request::Restore(errand) => Box::new(move || errand.run(|name| worker.restore(name))),
             };
-            if let Err(error) = tokio::task::spawn_blocking(work).await {
+            if let Err(error) = spawn_blocking(work).await {
                 // The requests of the round went with it: their clients are told that the server failed.
                 tracing::error!(map = %writer.name, %error, "a commit's thread failed");
             }

@@ -1,10 +1,10 @@
 //! One thread makes everything durable that was applied since it last looked, so that commits of many maps that wait
 //! at the same time cost one flush and one sync.
 
-use super::lock;
+use crate::sync::thread::{Builder, JoinHandle};
+use crate::sync::{Condvar, Mutex, lock};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 /// Makes the bytes that were written to the data file durable: `fdatasync`. A trait so that tests can count, delay and
@@ -70,8 +70,7 @@ impl Durability {
         let state = State { applied: last, durable: last, ..State::default() };
         let shared = Arc::new(Shared { state: Mutex::new(state), ..Shared::default() });
         let of_thread = Arc::clone(&shared);
-        let thread =
-            std::thread::Builder::new().name("store-sync".to_owned()).spawn(move || run(&of_thread, make_durable))?;
+        let thread = Builder::new().name("store-sync".to_owned()).spawn(move || run(&of_thread, make_durable))?;
         Ok(Self { shared, thread: Some(thread), nudge: Box::new(nudge) })
     }
 

@@ -3,15 +3,16 @@
 use super::checks::{check_commit, check_contents};
 use super::{
     BlockStamp, BlockStamps, Commit, Difference, LoadedMap, MapId, MapName, MapStore, OpenMap, RobotName,
-    SequenceWindow, SnapshotName, StoreError, StoredMap, StoredSnapshot, lock,
+    SequenceWindow, SnapshotName, StoreError, StoredMap, StoredSnapshot,
 };
 use crate::mapping::MapConfig;
 use crate::quadtree::{
     Block, BlockAddress, BlockCache, BlockPager, BlockSource, BlockTag, BlockView, OccupancyTree, PagedTree,
     SourceError,
 };
+use crate::sync::{Mutex, lock};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
 /// A store that keeps nothing beyond its own life. Tests can make it fail and wait.

@@ -44,7 +44,9 @@ mod window;
 
 #[cfg(test)]
 mod block_codec_tests;
-#[cfg(test)]
+#[cfg(all(test, feature = "shuttle"))]
+mod durability_schedules;
+#[cfg(all(test, not(feature = "shuttle")))]
 mod durability_tests;
 #[cfg(test)]
 mod migrate_tests;

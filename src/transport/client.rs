@@ -3,7 +3,7 @@
 use crate::service::{ServiceError, limit_hit, setting};
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::Notify;
@@ -38,7 +38,22 @@ impl Client {
     #[must_use]
     pub fn begin(&self) -> UnderWay {
         self.activity.under_way.fetch_add(1, Ordering::SeqCst);
-        UnderWay(Arc::clone(&self.activity))
+        UnderWay { id: self.activity.next.fetch_add(1, Ordering::Relaxed), activity: Arc::clone(&self.activity) }
+    }
+
+    /// Waits until an answer on the connection has waited for its client for so long, or at most half as long again: under
+    /// HTTP/2 a client can be there, take other answers, and never take one, whatever that holds.
+    pub async fn stuck(&self, limit: Duration) {
+        loop {
+            let now = Instant::now();
+            let oldest = self.activity.offered().values().min().copied();
+            let over = oldest.map_or(now + limit / 2, |since| since + limit);
+            if over <= now {
+                limit_hit(setting::IDLE_SECONDS);
+                return;
+            }
+            tokio::time::sleep_until(over.min(now + limit / 2)).await;
+        }
     }
 
     /// Waits until the connection has had no request under way for so long.
@@ -66,23 +81,47 @@ struct Activity {
     /// When the last request was done, or the connection was opened.
     since: Mutex<Instant>,
     quiet: Notify,
+    /// The answers of which the client has yet to take something, and since when.
+    offered: Mutex<HashMap<u64, Instant>>,
+    /// The number of the next request.
+    next: AtomicU64,
 }
 
 impl Activity {
     fn since(&self) -> Instant {
         *self.since.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn offered(&self) -> MutexGuard<'_, HashMap<u64, Instant>> {
+        self.offered.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// One request under way on its connection.
 #[derive(Debug)]
-pub struct UnderWay(Arc<Activity>);
+pub struct UnderWay {
+    id: u64,
+    activity: Arc<Activity>,
+}
+
+impl UnderWay {
+    /// From now on it is the client's turn to take some of the answer.
+    pub fn offered(&self) {
+        self.activity.offered().insert(self.id, Instant::now());
+    }
+
+    /// The client has taken all that there is so far.
+    pub fn taken(&self) {
+        self.activity.offered().remove(&self.id);
+    }
+}
 
 impl Drop for UnderWay {
     fn drop(&mut self) {
-        *self.0.since.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
-        if self.0.under_way.fetch_sub(1, Ordering::SeqCst) == 1 {
-            self.0.quiet.notify_one();
+        self.taken();
+        *self.activity.since.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+        if self.activity.under_way.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.activity.quiet.notify_one();
         }
     }
 }
@@ -157,7 +196,13 @@ pub fn connected(connections: &Arc<PerClient>, address: IpAddr) -> Option<(Clien
     if refused {
         limit_hit(setting::CONNECTIONS_PER_CLIENT);
     }
-    let activity = Activity { under_way: AtomicUsize::new(0), since: Mutex::new(Instant::now()), quiet: Notify::new() };
+    let activity = Activity {
+        under_way: AtomicUsize::new(0),
+        since: Mutex::new(Instant::now()),
+        quiet: Notify::new(),
+        offered: Mutex::default(),
+        next: AtomicU64::new(0),
+    };
     share.map(|share| (Client { address, activity: Arc::new(activity), refused }, share))
 }
 

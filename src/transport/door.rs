@@ -47,6 +47,8 @@ pub struct DoorSettings {
     pub request_timeout: Duration,
     /// Longest time for the transfer of one file.
     pub transfer_timeout: Duration,
+    /// How long a client may leave what it asked for untaken.
+    pub idle_timeout: Duration,
 }
 
 /// The one door of a server: every operation and every stream of every transport passes it. Cheap to clone.
@@ -61,6 +63,8 @@ struct Inner {
     streams: Arc<Semaphore>,
     transfers: Arc<Semaphore>,
     streams_per_client: Arc<PerClient>,
+    /// Calls of health and reflection, which are for everybody.
+    asides: Arc<PerClient>,
     connections: Arc<PerClient>,
     incoming: Arc<Memory>,
     answers: Arc<Memory>,
@@ -97,6 +101,7 @@ impl Door {
             streams: semaphore(settings.streams),
             transfers: semaphore(settings.transfers),
             streams_per_client: PerClient::new(settings.streams_per_client),
+            asides: PerClient::new(settings.streams_per_client),
             connections: PerClient::new(settings.connections_per_client),
             incoming,
             answers,
@@ -134,20 +139,33 @@ impl Door {
         if self.is_draining() {
             return Err(ending());
         }
-        let share = client.map(|client| {
-            self.0.streams_per_client.take(client.address(), 0).ok_or_else(|| {
-                let detail = format!(
-                    "this client has {} streams open, the limit: end some, then try again",
-                    self.0.settings.streams_per_client
-                );
-                ServiceError::over(ErrorKind::Busy, setting::STREAMS_PER_CLIENT, detail)
-            })
-        });
+        let share = client.map(|client| self.share(&self.0.streams_per_client, client)).transpose()?;
         let full = || format!("{} streams are open", self.0.settings.streams);
-        let share = share.transpose()?;
         let mut place = place(&self.0.streams, STREAMS, setting::STREAMS, full)?;
         place.more.1 = share;
         Ok(place)
+    }
+
+    /// Streams that are open.
+    #[must_use]
+    pub fn streams_open(&self) -> usize {
+        self.0.settings.streams.saturating_sub(self.0.streams.available_permits())
+    }
+
+    /// A client's share of what is for everybody and takes no place of what is not: health and reflection.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Busy`]
+    pub fn aside(&self, client: Option<&Client>) -> Result<Option<Share>, ServiceError> {
+        client.map(|client| self.share(&self.0.asides, client)).transpose()
+    }
+
+    fn share(&self, shares: &Arc<PerClient>, client: &Client) -> Result<Share, ServiceError> {
+        shares.take(client.address(), 0).ok_or_else(|| {
+            let most = self.0.settings.streams_per_client;
+            let detail = format!("this client has {most} streams open, the limit: end some, then try again");
+            ServiceError::over(ErrorKind::Busy, setting::STREAMS_PER_CLIENT, detail)
+        })
     }
 
     /// The connections of each client.
@@ -186,16 +204,22 @@ impl Door {
         place(&self.0.transfers, TRANSFERS, setting::TRANSFERS, full)
     }
 
-    /// The longest time for one operation.
+    /// How long the transfer of one file may take.
+    #[must_use]
+    pub fn transfer_timeout(&self) -> Duration {
+        self.0.settings.transfer_timeout
+    }
+
+    /// How long one operation may take.
     #[must_use]
     pub fn request_timeout(&self) -> Duration {
         self.0.settings.request_timeout
     }
 
-    /// How long the transfer of one file may take.
+    /// How long a client may leave what it asked for untaken.
     #[must_use]
-    pub fn transfer_timeout(&self) -> Duration {
-        self.0.settings.transfer_timeout
+    pub fn idle_timeout(&self) -> Duration {
+        self.0.settings.idle_timeout
     }
 
     /// Waits for a file for as long as one may take.

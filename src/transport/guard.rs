@@ -4,6 +4,7 @@
 use super::client::{Client, UnderWay, too_many_connections};
 use super::door::Door;
 use super::intake::{self, Held, Shape};
+use super::outgoing;
 use crate::service::{ErrorKind, ServiceError, setting};
 use axum::Error;
 use axum::body::HttpBody;
@@ -45,7 +46,7 @@ pub fn admit(
     };
     let held = door.incoming().hold();
     parts.extensions.insert(Arc::clone(&held));
-    let body = intake::counted(body, Arc::clone(&held), shape, door.request_timeout(), wrap);
+    let body = intake::counted(body, Arc::clone(&held), shape, wrap, door.request_timeout());
     // What comes as a stream is counted by its reader, for as long as it reads.
     let _incoming = (shape == Shape::Whole).then_some(held);
     Ok((Request::from_parts(parts, body), Admitted { _incoming, under_way }))
@@ -62,11 +63,17 @@ fn check_head(parts: &Parts, most: usize) -> Result<(), ServiceError> {
 }
 
 impl Admitted {
-    /// The answer, which holds the request's place on its connection until it has gone out, and the memory that it takes.
+    /// The answer, which holds the request's place on its connection until it has gone out, the memory that it takes, and
+    /// `more`.
     ///
     /// # Errors
     /// [`ErrorKind::Busy`] where answers take all the memory that they may.
-    pub fn answer(self, door: &Door, mut response: Response) -> Result<Response, ServiceError> {
+    pub fn answer<T: Send + Sync + 'static>(
+        self,
+        door: &Door,
+        mut response: Response,
+        more: T,
+    ) -> Result<Response, ServiceError> {
         let Self { _incoming, under_way } = self;
         // gRPC knows the size of its message where it is made.
         let held = match response.extensions_mut().remove::<Arc<Held>>() {
@@ -76,7 +83,7 @@ impl Admitted {
                 None => None,
             },
         };
-        Ok(intake::keep(response, (under_way, held)))
+        Ok(outgoing::keep(response, under_way, (held, more)))
     }
 }
 

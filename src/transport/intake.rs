@@ -3,16 +3,14 @@
 use crate::service::{ErrorKind, ServiceError, setting};
 use axum::Error;
 use axum::body::{Body, Bytes, HttpBody};
-use axum::response::Response;
 use hyper::body::{Frame, SizeHint};
 use metrics::{describe_gauge, gauge};
-use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::time::{Sleep, sleep};
+use tokio::time::{Instant, Sleep, sleep};
 
 const INCOMING: &str = "ubbmap_incoming_bytes";
 const ANSWERS: &str = "ubbmap_answer_bytes";
@@ -20,14 +18,14 @@ const ANSWERS: &str = "ubbmap_answer_bytes";
 /// Tells the recorder what each metric means.
 pub(super) fn describe_metrics() {
     describe_gauge!(INCOMING, "Bytes of requests that are being read or worked on, of REST and gRPC");
-    describe_gauge!(ANSWERS, "Bytes of large answers on their way out, of REST and gRPC");
+    describe_gauge!(ANSWERS, "Bytes of answers above 4 KiB on their way out, of REST and gRPC");
 }
 
-/// Answers up to this many bytes are not counted: their number is limited by that of requests.
-const SMALL: usize = 64 * 1024;
+/// Answers up to this many bytes are not counted: their number is limited by that of requests on all connections.
+const SMALL: usize = 4096;
 
-/// Pieces of answers below this many bytes are not worth an owner of their own.
-const COPIED: usize = 4096;
+/// How often a clock is looked at while a message is waited for, at least.
+const LONGEST_TICK: Duration = Duration::from_secs(1);
 
 /// Bytes before a message of gRPC: a flag and the length.
 const PREFIX: usize = 5;
@@ -70,7 +68,13 @@ impl Memory {
 
     /// Shows the gauge before anything is held.
     pub(super) fn show(&self) {
-        gauge!(self.gauge).set(self.used.load(Ordering::Relaxed) as f64);
+        gauge!(self.gauge).set(self.used() as f64);
+    }
+
+    /// Bytes that are held.
+    #[must_use]
+    pub fn used(&self) -> usize {
+        self.used.load(Ordering::Relaxed)
     }
 
     /// A part of no bytes yet.
@@ -101,6 +105,14 @@ impl Held {
     pub fn grow(&self, bytes: usize) -> Result<(), ServiceError> {
         let held = *self.bytes.lock().unwrap_or_else(PoisonError::into_inner);
         self.set(held.saturating_add(bytes))
+    }
+
+    /// What came so far was thrown away: nothing is held of it.
+    pub fn forget(held: Option<&Arc<Self>>) {
+        if let Some(held) = held {
+            // Giving back cannot fail.
+            let _ = held.set(0);
+        }
     }
 
     /// Holds so many bytes from now on.
@@ -159,17 +171,19 @@ struct Incoming {
     prefix: Vec<u8>,
     /// What of the message is still to come.
     rest: usize,
-    /// How long a message or line may take from its first byte to its last: while it comes it holds memory that others want.
-    patience: Duration,
-    /// Runs while one is coming.
-    coming: Option<Pin<Box<Sleep>>>,
     wrap: fn(ServiceError) -> Error,
+    /// How long a message or line that was begun may be waited for.
+    patience: Duration,
+    /// How long it was, and the clock that counts while it is: time in which nobody reads here is not the sender's.
+    waited: Duration,
+    tick: Option<Pin<Box<Sleep>>>,
 }
 
-/// Counts a body's bytes, and ends one of which a message or line has begun and takes longer than `patience`. `wrap` makes of a
-/// refusal what the body's reader knows.
-pub fn counted(body: Body, held: Arc<Held>, shape: Shape, patience: Duration, wrap: fn(ServiceError) -> Error) -> Body {
-    Body::new(Incoming { body, held, shape, begun: 0, prefix: Vec::new(), rest: 0, patience, coming: None, wrap })
+/// Counts a body's bytes. `wrap` makes of a refusal what the body's reader knows; a message or line that was begun is waited
+/// for no longer than `patience`. A whole body's time is the request's.
+pub fn counted(body: Body, held: Arc<Held>, shape: Shape, wrap: fn(ServiceError) -> Error, patience: Duration) -> Body {
+    let (begun, prefix, rest) = (0, Vec::new(), 0);
+    Body::new(Incoming { body, held, shape, begun, prefix, rest, wrap, patience, waited: Duration::ZERO, tick: None })
 }
 
 impl Incoming {
@@ -179,7 +193,7 @@ impl Incoming {
             Shape::Lines => {
                 let end = data.iter().rposition(|byte| *byte == b'\n');
                 if end.is_some() {
-                    self.coming = None;
+                    self.done();
                 }
                 self.begun = end.map_or(self.begun + data.len(), |end| data.len() - end - 1);
                 self.held.set(self.begun)
@@ -189,26 +203,6 @@ impl Incoming {
                 self.held.set(self.begun)
             }
         }
-    }
-
-    /// Is it too late for the rest of what has begun? A body that is held whole begins when it is first waited for; between two
-    /// messages or lines there may be any time.
-    fn is_late(&mut self, context: &mut Context<'_>) -> bool {
-        if self.shape != Shape::Whole && self.begun == 0 {
-            return false;
-        }
-        let patience = self.patience;
-        self.coming.get_or_insert_with(|| Box::pin(sleep(patience))).as_mut().poll(context).is_ready()
-    }
-
-    fn late(&self) -> ServiceError {
-        let what = match self.shape {
-            Shape::Whole => "body",
-            Shape::Messages => "message",
-            Shape::Lines => "line",
-        };
-        let detail = format!("a {what} that has begun did not end within {} s", self.patience.as_secs_f64());
-        ServiceError::over(ErrorKind::Timeout, setting::REQUEST_SECONDS, detail)
     }
 
     /// Goes over the messages that end in `data`; `begun` is then what there is of the next.
@@ -229,9 +223,37 @@ impl Incoming {
                 self.rest -= part;
             }
             if self.rest == 0 && self.prefix.is_empty() {
-                (self.begun, self.coming) = (0, None);
+                self.begun = 0;
+                self.done();
             }
         }
+    }
+
+    /// A message or line is here as a whole.
+    fn done(&mut self) {
+        self.waited = Duration::ZERO;
+        self.tick = None;
+    }
+
+    /// Has one that was begun been waited for too long? Wakes its reader when it has.
+    fn is_late(&mut self, context: &mut Context<'_>) -> bool {
+        if self.shape == Shape::Whole || self.begun == 0 {
+            return false;
+        }
+        let span = (self.patience / 8).min(LONGEST_TICK);
+        let tick = self.tick.get_or_insert_with(|| Box::pin(sleep(span)));
+        while self.waited < self.patience && tick.as_mut().poll(context).is_ready() {
+            self.waited += span;
+            tick.as_mut().reset(Instant::now() + span);
+        }
+        self.waited >= self.patience
+    }
+
+    fn late(&self) -> ServiceError {
+        let seconds = self.patience.as_secs_f64();
+        let what = if self.shape == Shape::Lines { "line" } else { "message" };
+        let detail = format!("a {what} that was begun did not end within {seconds} s");
+        ServiceError::over(ErrorKind::Timeout, setting::REQUEST_SECONDS, detail)
     }
 }
 
@@ -240,14 +262,12 @@ impl HttpBody for Incoming {
     type Error = Error;
 
     fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Error>>> {
-        let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(context) else {
-            if self.is_late(context) {
-                let late = self.late();
-                return Poll::Ready(Some(Err((self.wrap)(late))));
-            }
-            return Poll::Pending;
+        let frame = match Pin::new(&mut self.body).poll_frame(context) {
+            Poll::Ready(frame) => frame.transpose()?,
+            Poll::Pending if self.is_late(context) => return Poll::Ready(Some(Err((self.wrap)(self.late())))),
+            Poll::Pending => return Poll::Pending,
         };
-        let Some(frame) = frame.transpose()? else { return Poll::Ready(None) };
+        let Some(frame) = frame else { return Poll::Ready(None) };
         if let Some(data) = frame.data_ref()
             && let Err(error) = self.take(data)
         {
@@ -271,54 +291,6 @@ pub fn refusal(error: Error) -> Option<ServiceError> {
     match error.into_inner().downcast::<Error>() {
         Ok(inner) => refusal(*inner),
         Err(error) => error.downcast::<ServiceError>().ok().map(|error| *error),
-    }
-}
-
-/// A body that holds something until it has gone out, or its client has.
-struct Outgoing<T> {
-    body: Body,
-    kept: Arc<T>,
-}
-
-/// A piece of such a body: the connection takes it over as it is, and may have it for long.
-struct Piece<T> {
-    bytes: Bytes,
-    _kept: Arc<T>,
-}
-
-impl<T> AsRef<[u8]> for Piece<T> {
-    fn as_ref(&self) -> &[u8] {
-        &self.bytes
-    }
-}
-
-/// Keeps something until the answer has gone out.
-pub fn keep<T: Send + Sync + 'static>(response: Response, kept: T) -> Response {
-    response.map(|body| Body::new(Outgoing { body, kept: Arc::new(kept) }))
-}
-
-impl<T: Send + Sync + 'static> HttpBody for Outgoing<T> {
-    type Data = Bytes;
-    type Error = Error;
-
-    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Error>>> {
-        let frame = ready!(Pin::new(&mut self.body).poll_frame(context));
-        let piece = |bytes: Bytes| {
-            // Small ones are copied into what goes out.
-            if bytes.len() < COPIED {
-                return bytes;
-            }
-            Bytes::from_owner(Piece { bytes, _kept: Arc::clone(&self.kept) })
-        };
-        Poll::Ready(frame.map(|frame| frame.map(|frame| frame.map_data(piece))))
-    }
-
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
-    fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
     }
 }
 

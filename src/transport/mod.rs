@@ -10,6 +10,7 @@ pub mod guard;
 pub mod http;
 pub mod intake;
 pub mod operations;
+pub mod outgoing;
 pub mod parameters;
 mod scan_stream;
 pub mod status;

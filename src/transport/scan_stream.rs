@@ -5,6 +5,7 @@
 
 use super::access::OnBehalf;
 use super::door::{Door, ending};
+use super::watching::left;
 use crate::service::{ErrorKind, ServiceError};
 use crate::store::MapName;
 use crate::wire::{self, Batch, v1};
@@ -36,7 +37,7 @@ pub async fn run(
             biased;
             Some(fate) = under_way.next(), if !under_way.is_empty() => {
                 let failed = Acknowledgement::is_err(&fate);
-                if out.send(fate).await.is_err() || failed {
+                if !hand_over(&out, fate, service, door).await || failed {
                     return;
                 }
             }
@@ -66,7 +67,21 @@ pub async fn run(
     }
     if let Some(error) = end {
         // A sender that has gone is told nothing.
-        let _ = out.send(Err(error)).await;
+        hand_over(&out, Err(error), service, door).await;
+    }
+}
+
+/// Gives a message to the sender; false when it is gone or takes nothing for too long.
+async fn hand_over(
+    out: &mpsc::Sender<Acknowledgement>,
+    message: Acknowledgement,
+    service: &OnBehalf,
+    door: &Door,
+) -> bool {
+    tokio::select! {
+        biased;
+        sent = out.send(message) => sent.is_ok(),
+        () = left(service, door) => false,
     }
 }
 

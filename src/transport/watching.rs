@@ -3,12 +3,16 @@
 use super::access::OnBehalf;
 use super::client::Client;
 use super::door::{Door, Place, ending};
-use crate::service::{ServiceError, Watch};
+use crate::service::{ServiceError, Watch, limit_hit, setting};
 use crate::wire::{self, v1};
+use std::time::Duration;
 use tokio::sync::mpsc;
 
 /// Messages that wait for the client. What is committed while they wait is put together, so more would only be older.
 const WAITING: usize = 1;
+
+/// How long the last words of a stream wait for a client that does not read.
+const LAST_WORDS: Duration = Duration::from_secs(2);
 
 /// One message to the client, or why there are no more.
 pub type Change = Result<v1::WatchMapResponse, ServiceError>;
@@ -31,10 +35,26 @@ pub async fn begin(
     Ok(receiver)
 }
 
+/// Waits until there is no more waiting for a client that takes nothing: its grant or the server ends, or it is too long.
+/// It has a moment for the last words then.
+pub async fn left(asking: &OnBehalf, door: &Door) {
+    tokio::select! {
+        () = door.draining() => {}
+        _ = asking.ended() => {}
+        () = tokio::time::sleep(door.idle_timeout()) => return limit_hit(setting::IDLE_SECONDS),
+    }
+    tokio::time::sleep(LAST_WORDS).await;
+}
+
 async fn run(mut watch: Watch, asking: OnBehalf, door: Door, out: mpsc::Sender<Change>, place: Place) {
     loop {
         // The place of the message comes first: what changes while the client is slow is then in the message.
-        let Ok(permit) = out.reserve().await else { break };
+        let reserved = tokio::select! {
+            biased;
+            reserved = out.reserve() => reserved,
+            () = left(&asking, &door) => break,
+        };
+        let Ok(permit) = reserved else { break };
         let change = tokio::select! {
             // Nothing is told once the grant has ended.
             biased;

@@ -10,7 +10,7 @@ const MAX_FUNCTION_LINES: usize = 70;
 
 /// Modules by floor, lowest first. A module may use its own floor's modules only where [`SAME_FLOOR`] says so.
 const FLOORS: [&[&str]; 7] = [
-    &["interval", "vector"],
+    &["interval", "sync", "vector"],
     &["sensor", "quadtree"],
     &["mapping", "simulation"],
     &["store"],
@@ -159,6 +159,38 @@ fn the_core_knows_no_io_clock_or_async() {
             }
         }
     }
+}
+
+/// Where what is shared by tasks is not to come from, and what of it.
+const UNSEEN: [(&str, &[&str]); 5] = [
+    ("std::sync", &["Mutex", "RwLock", "Condvar", "Atomic", "OnceLock"]),
+    ("std::thread", &["std::thread"]),
+    ("arc_swap", &["arc_swap"]),
+    ("tokio::", &["mpsc", "oneshot", "watch", "OnceCell", "spawn", "sleep"]),
+    ("tokio_util", &["tokio_util"]),
+];
+
+/// What `shuttle` does not see, a test of schedules cannot interleave, and a lock of `std` that is held while another task
+/// goes on would stop it for good.
+#[test]
+fn what_tasks_share_comes_from_where_schedules_are_chosen() {
+    let mut imports = 0;
+    for (name, text) in sources(&["src/service", "src/quadtree"]) {
+        // The metrics have a set of names, held for a look.
+        let apart = ["/schedules", "_tests.rs", "service/tasks", "service/metrics.rs"];
+        if apart.iter().any(|part| name.contains(part)) {
+            continue;
+        }
+        for (number, line) in text.lines().enumerate() {
+            let code = line.split("//").next().unwrap();
+            imports += usize::from(code.contains("crate::sync::") || code.contains("super::tasks::"));
+            let unseen = |(path, words): &(&str, &[&str])| {
+                code.contains(path) && words.iter().any(|word| code.replace("std::sync::atomic", "").contains(word))
+            };
+            assert!(!UNSEEN.iter().any(unseen), "{name}:{}: take it from crate::sync or super::tasks", number + 1);
+        }
+    }
+    assert!(imports > 10, "only {imports} imports found");
 }
 
 #[test]

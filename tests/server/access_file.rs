@@ -5,7 +5,9 @@
 use crate::service_support::map_name;
 use std::time::{Duration, SystemTime};
 use ubbmap::service::ErrorKind;
-use ubbmap::transport::access::{Access, MapScope, Operation, Peer, Reach, Role, Roll, Secret, Shown, TokenHash};
+use ubbmap::transport::access::{
+    Access, Caller, MapScope, Operation, Peer, Reach, Role, Roll, Secret, Shown, TokenHash,
+};
 use ubbmap::transport::tls::Named;
 
 const HASH: &str = "2c26b46b68ffc68ff99b453c1d30413413422d706483bfa0f98a5e886266e7ae";
@@ -128,4 +130,46 @@ fn no_token_is_in_a_debug_form() {
     let roll = Roll::parse(&entry("a", "")).unwrap();
     let shown = format!("{:?} {:?}", Shown::Token("ubbmap_c2VjcmV0"), roll);
     assert!(!shown.contains("c2VjcmV0") && !shown.contains(HASH), "{shown}");
+}
+
+#[test]
+fn a_token_in_the_wrong_place_was_quoted_in_what_is_wrong_with_the_file() {
+    let secret = "ubbmap_c2VjcmV0LXNlY3JldC1zZWNyZXQtc2VjcmV0LTEyMw";
+    for text in [
+        entry("a", "").replace("\"read\"", &format!("\"{secret}\"")),
+        entry("a", &format!("expires = \"{secret}\"")),
+        entry("a", &format!("{secret} = 1")),
+        entry("a", &format!("{}Aa = 1", &secret[7..])),
+        entry("a", &format!("robot = \"{secret}/\"")),
+        entry("a", "").replace("[\"*\"]", &format!("[\"{secret}*\", \"A{secret}\"]")),
+        entry(secret, "").replace("\"read\"", "\"boss\""),
+        format!("{}{}", entry(secret, ""), entry(secret, "").replace("2c26", "2c27")),
+        format!("{}{secret} = 1\n{secret} = 2\n", entry("a", "")),
+    ] {
+        let problem = Roll::parse(&text).unwrap_err();
+        // Seven characters of it tell nothing.
+        for piece in 7..secret.len() - 6 {
+            assert!(!problem.contains(&secret[piece..piece + 6]), "{problem}");
+        }
+    }
+    assert!(
+        Roll::parse(&entry("a", "rolle = 1"))
+            .unwrap_err()
+            .contains("unknown field `rolle`, expected one of `name`, `sha256`")
+    );
+}
+
+#[test]
+fn a_changed_entry_was_revoked_before_the_new_one_was_in_force() {
+    let earlier = Roll::parse(&format!("{}{}", entry("a", ""), entry("b", "").replace("2c26", "2c27"))).unwrap();
+    let mut next =
+        Roll::parse(&format!("{}{}", entry("a", "").replace("read", "admin"), entry("b", "").replace("2c26", "2c27")))
+            .unwrap();
+    let gone = next.succeed(&earlier);
+    let names: Vec<&str> = gone.iter().map(Caller::name).collect();
+    assert_eq!(names, ["a"]);
+    assert!(earlier.entries().iter().all(|entry| entry.caller.live().is_ok()), "the earlier roll is still in force");
+    gone.iter().for_each(Caller::revoke);
+    let live = |roll: &Roll| roll.entries().iter().map(|entry| entry.caller.live().is_ok()).collect::<Vec<_>>();
+    assert_eq!((live(&earlier), live(&next)), (vec![false, true], vec![true, true]));
 }

@@ -362,3 +362,34 @@ proptest! {
         prop_assert!(read(&path, &BagOptions::default()).0 <= 10);
     }
 }
+
+#[test]
+fn the_first_scan_of_every_topic_was_held_with_its_ranges() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("topics.mcap");
+    let mut bag = Bag::default();
+    let scan = Scan {
+        stamp: 1.0,
+        frame: "laser",
+        angle_min: 0.0,
+        angle_increment: 1e-4,
+        time_increment: 0.0,
+        range_max: 30.0,
+        ranges: vec![1.0; 20_000],
+    };
+    let data = zstd::encode_all(scan.message(true).as_slice(), 1).unwrap();
+    for topic in 0..3000 {
+        bag.put(&format!("/scan_{topic}"), SCAN, data.clone());
+    }
+    std::fs::write(&path, bag.mcap(Packed::No)).unwrap();
+    // 240 MB of ranges, in a process that may have 150 MB.
+    let limited = "ulimit -d 150000 && exec \"$0\" build \"$1\" --out \"$2\"";
+    let out = folder.path().join("m.ubbmap");
+    let done = std::process::Command::new("sh")
+        .args(["-c", limited, env!("CARGO_BIN_EXE_ubbmap"), path.to_str().unwrap(), out.to_str().unwrap()])
+        .output()
+        .unwrap();
+    let words = String::from_utf8_lossy(&done.stderr).chars().take(400).collect::<String>();
+    assert_eq!(done.status.code(), Some(1), "{words}");
+    assert!(words.contains("has 3000 topics of scans: name one by --scan-topic"), "{words}");
+}

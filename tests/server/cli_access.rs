@@ -274,3 +274,30 @@ fn a_signal_has_the_tokens_read_again() {
     open.signal("-HUP");
     open.run("", &["map", "list"]).ok();
 }
+
+#[test]
+fn of_changes_to_a_file_of_tokens_at_one_time_some_were_lost() {
+    let folder = Folder::new();
+    let file = folder.text("tokens.toml");
+    let create = |name: &str| {
+        let mut command = ubbmap();
+        command.args(["token", "create", "--file", &file, "--name", name, "--role", "read"]);
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    for round in 0..3 {
+        let bad = format!("bad-{round}");
+        assert!(create(&bad).wait().unwrap().success());
+        let mut children: Vec<Child> = (0..8).map(|place| create(&format!("n-{round}-{place}"))).collect();
+        children.push(ubbmap().args(["token", "revoke", "--file", &file, &bad]).stderr(Stdio::null()).spawn().unwrap());
+        assert!(children.iter_mut().all(|child| child.wait().unwrap().success()));
+        let roll = Roll::parse(&fs::read_to_string(&file).unwrap()).unwrap();
+        let names: Vec<&str> = roll.entries().iter().map(|entry| entry.caller.name()).collect();
+        assert_eq!(names.len(), 8 * (round + 1), "{names:?}");
+        assert!(!names.contains(&bad.as_str()));
+    }
+    // Nothing is left of the attempts but the lock, which a list does not ask for.
+    fs::remove_file(folder.path("tokens.toml.lock")).unwrap();
+    run(["token", "list", "--file", &file]).ok();
+    run(["token", "revoke", "--file", &folder.text("none.toml"), "a"]).fails(1, "cannot read");
+    assert_eq!(fs::read_dir(folder.path("")).unwrap().count(), 1);
+}

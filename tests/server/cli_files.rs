@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use super::cli_support::{Done, Server, room_json, run};
+use super::cli_support::{Done, Folder, Server, room_json, run};
 use super::http_support::{agent, send};
 use std::path::Path;
 use ubbmap::store::read_map_file;
@@ -181,4 +181,22 @@ fn files_are_whole_or_not_there() {
     assert!(!left.iter().any(|name| name.to_str().unwrap().starts_with('x')), "{left:?}");
     assert!(!left.iter().any(|name| name.to_str().unwrap().ends_with(".partial")), "{left:?}");
     assert_eq!(server.terminate(), 0);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_link_that_lay_in_the_way_of_a_file_was_followed() {
+    let folder = Folder::new();
+    std::fs::write(folder.path("precious"), "precious").unwrap();
+    // The shell's number is the command's, so its name beside the file is known before.
+    let laid = "ln -s \"$1/precious\" \"$1/.tokens.toml.$$.partial\" && \
+                exec \"$0\" token create --name a --role read --file \"$1/tokens.toml\"";
+    let done = std::process::Command::new("sh")
+        .args(["-c", laid, env!("CARGO_BIN_EXE_ubbmap"), &folder.text("")])
+        .output()
+        .unwrap();
+    assert!(done.status.success(), "{done:?}");
+    assert_eq!(std::fs::read_to_string(folder.path("precious")).unwrap(), "precious");
+    assert!(std::fs::read_to_string(folder.path("tokens.toml")).unwrap().contains("name = \"a\""));
+    assert!(!std::fs::symlink_metadata(folder.path("tokens.toml")).unwrap().is_symlink());
 }

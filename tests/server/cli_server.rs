@@ -277,7 +277,7 @@ fn regions_are_checked() {
     server.run(&["check", "--map", "room", "--disc", "1.5,1.2,0.3", "--tolerance", "3"]).ok();
     server.run(&["check", "--map", "room", "--disc", "1.5,1.2,0.3", "--tolerance", "4"]).fails(1, "TOLERANCE_TOO_HIGH");
     server.run(&["check", "--map", "roam", "--disc", "1,1,1"]).fails(1, "did you mean 'room'?");
-    server.run(&["check", "--map", "room", "--box", "1,1,0,0"]).fails(1, "INVALID_REGION");
+    server.run(&["check", "--map", "room", "--box", "1,1,0,0"]).fails(2, "INVALID_REGION");
     for (flags, words) in [
         (&["--disc", "1,2"][..], "X,Y,RADIUS"),
         (&["--disc", "1,2,x"], "\"x\" is not a number"),

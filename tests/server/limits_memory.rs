@@ -4,7 +4,7 @@
 
 use crate::grpc_support::refused;
 use crate::http_support::{Site, gzip, ring};
-use crate::limits_support::{at_last, hits};
+use crate::limits_support::{answers, at_last, hits, incoming};
 use crate::service_support::{self, map_name};
 use serde_json::json;
 use std::io::{Read, Write};
@@ -48,6 +48,8 @@ fn bodies_on_their_way_share_a_memory_that_a_slow_sender_gives_back() {
     let head = "POST /v1/maps/hall/classes HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: 600000\r\n\r\n";
     slow.write_all(head.as_bytes()).unwrap();
     slow.write_all(" ".repeat(500_000).as_bytes()).unwrap();
+    // Of two that come at once either may be the one that finds no room.
+    at_last(|| incoming(&site) == 500_000);
     let before = hits(&site, "limits.incoming_bytes");
     at_last(|| site.send("POST", "/v1/maps/hall/classes", &headers, &zipped).status == 429);
     let answer = site.send("POST", "/v1/maps/hall/classes", &headers, &zipped);
@@ -85,6 +87,7 @@ fn a_line_and_a_message_of_a_stream_are_counted_until_they_end() {
         Content-Length: 5000000\r\n\r\n";
     slow.write_all(head.as_bytes()).unwrap();
     slow.write_all(" ".repeat(700_000).as_bytes()).unwrap();
+    at_last(|| incoming(&site) == 700_000);
     at_last(|| site.post("/v1/maps/hall/classes", &blank(500_000)).status == 429);
     // The line ends, and its memory is free.
     slow.write_all(b"\n").unwrap();
@@ -105,6 +108,8 @@ fn answers_on_their_way_share_a_memory_and_who_does_not_read_is_cut_off() {
     let mut slow = connect(&site);
     slow.write_all(format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes()).unwrap();
     let before = (hits(&site, "limits.answer_bytes"), hits(&site, "limits.idle_seconds"));
+    // Its answer first: of two that come at once either may be the one that finds no room.
+    at_last(|| answers(&site) >= length);
     at_last(|| site.get(path).status == 429);
     let mut client = site.rpc();
     let request = v1::GetGridRequest { map: "wide".to_owned(), ..v1::GetGridRequest::default() };

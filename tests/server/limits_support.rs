@@ -114,6 +114,16 @@ pub fn hits(site: &Site, setting: &str) -> u64 {
     count.unwrap_or_else(|| panic!("no {line}")).parse().unwrap()
 }
 
+/// Bytes of requests that this server holds. The metrics are those of all the servers of a process.
+pub fn incoming(site: &Site) -> usize {
+    site.server.as_ref().unwrap().door().incoming().used()
+}
+
+/// Bytes of answers that this server holds.
+pub fn answers(site: &Site) -> usize {
+    site.server.as_ref().unwrap().door().answers().used()
+}
+
 /// Tries until it is so; ends the test where it never is.
 #[track_caller]
 pub fn at_last(mut is_so: impl FnMut() -> bool) {

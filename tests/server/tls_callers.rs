@@ -8,7 +8,7 @@ use crate::tls_support::{Leaf, Office, Pair, agent};
 use std::time::{Duration, SystemTime};
 use tonic::Code;
 use ubbmap::config::{ClientCertificates, Config, ConfigError};
-use ubbmap::transport::access::{Role, Roll};
+use ubbmap::transport::access::{Caller, Role, Roll};
 use ubbmap::transport::tls::{Named, certificates, named};
 use ubbmap::wire::v1;
 
@@ -161,7 +161,7 @@ fn an_entry_that_is_taken_away_ends_those_who_came_in_by_it() {
         earlier.by_certificate(&Named { name: "operator".into(), until: later() }),
     );
     let mut next = Roll::parse(&ENTRIES.replace("amr-*", "amr-8*")).unwrap();
-    next.succeed(&earlier);
+    next.succeed(&earlier).iter().for_each(Caller::revoke);
     assert!(robot.live().is_err());
     assert!(operator.unwrap().live().is_ok());
 }

@@ -388,9 +388,17 @@ fn a_file_of_users_is_refused_by_user_and_reason_and_quotes_no_password() {
         (user("robot = \"a b\"\n"), "robot"),
         (user("").replace("write", "read") + "robot = \"a\"\n", "not for the role read"),
         (user("") + &user(""), "two users"),
+        (user("Geheimnis1234 = 1\n"), "unknown field"),
+        (user("").replace("write", "Geheimnis1234"), "role must be"),
     ] {
         let problem = parse_users(&text).unwrap_err();
         assert!(problem.contains(words), "{problem:?} has no {words:?}");
         assert!(!problem.contains("Geheimnis") && !problem.contains("1234567890123"), "{problem}");
     }
+}
+
+#[test]
+fn a_pipe_or_a_device_for_a_file_of_users_was_read_without_end() {
+    let problem = ubbmap::transport::zenoh::read_users(std::path::Path::new("/dev/zero")).unwrap_err();
+    assert!(problem.contains("/dev/zero is no file"), "{problem}");
 }

@@ -10,15 +10,15 @@ pub(super) mod sender;
 use super::bag::BagFlags;
 use super::build::{ScanOptions, check_first, open_log, tell_choice, tell_left_out};
 use super::client::{Client, ClientError, ServerOptions, map_name};
-use super::options::{MapOptions, SENSOR, SensorOptions, given, map_config};
+use super::options::{MapOptions, SENSOR, SensorOptions, at_least_one, given, map_config, span};
 use super::output::{Failure, Progress, note, rate_text, say, say_json};
 use crate::logs::{LogReader, LogScan};
 use crate::sensor::Angles;
 use crate::store::{MapName, RobotName, WINDOW_LENGTH};
-use crate::wire::v1;
+use crate::wire::{to_wire_config, v1};
 use clap::{ArgMatches, Args};
 use sender::{Numbered, Running, Tally, Team, Waiting};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::num::{NonZeroU64, NonZeroUsize};
 use std::path::PathBuf;
@@ -46,7 +46,7 @@ pub(in crate::cli) struct Replay {
     #[command(flatten)]
     server: ServerOptions,
     /// Robots that share the scans in turn
-    #[arg(long, default_value = "1", value_name = "N", help_heading = "Run")]
+    #[arg(long, default_value = "1", value_name = "N", value_parser = at_least_one::<NonZeroUsize>, help_heading = "Run")]
     robots: NonZeroUsize,
     /// Scans a second, all robots together [default: as fast as they are acknowledged]
     #[arg(long, value_name = "X", value_parser = positive, help_heading = "Run")]
@@ -55,13 +55,13 @@ pub(in crate::cli) struct Replay {
     #[arg(long, default_value = "64", value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
     batch: u16,
     /// Stop after the log's first N scans
-    #[arg(long, value_name = "N", help_heading = "Run")]
+    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroU64>, help_heading = "Run")]
     limit: Option<NonZeroU64>,
     /// Begin the robots' names with this [default: the log's name]
     #[arg(long, value_name = "NAME", help_heading = "Run")]
     robot_prefix: Option<String>,
     /// How long to go on trying while the server does not answer or is busy, seconds
-    #[arg(long, default_value_t = 60.0, value_name = "S", value_parser = positive, help_heading = "Run")]
+    #[arg(long, default_value_t = 60.0, value_name = "S", value_parser = span, help_heading = "Run")]
     retry_for: f64,
     /// Print the counts as one JSON object
     #[arg(long, help_heading = "Run")]
@@ -109,7 +109,7 @@ impl Replay {
         }
         let names = self.robot_names()?;
         let client = Client::new(&self.server)?;
-        let mut reader = open_log(&self.log, &self.bag)?;
+        let mut reader = open_log(&self.log, &self.bag, self.scans.pose_error)?;
         // A log without a scan makes no map.
         check_first(&self.log, &reader)?;
         tell_choice(&reader);
@@ -188,7 +188,10 @@ impl Replay {
             None
         } else {
             match Client::patiently(patience, || false, told, || client.map(&self.map)) {
-                Ok(map) => Some((map.revision, map.robots)),
+                Ok(map) => {
+                    self.tell_what_differs(map.config.as_ref(), reader)?;
+                    Some((map.revision, map.robots))
+                }
                 Err(error) if error.is("MAP_NOT_FOUND") && !self.existing => None,
                 Err(error) => return Err(client.explain(&self.map, error)),
             }
@@ -213,6 +216,22 @@ impl Replay {
             Some((robot.robot, if whole { highest } else { highest.saturating_sub(WINDOW_LENGTH - 1) }))
         });
         Ok(Known { revision, robots: robots.collect() })
+    }
+
+    /// Says how a map that is used as it is there differs from the one that the log and the defaults describe: what it
+    /// proves is by its own configuration.
+    fn tell_what_differs(&self, there: Option<&v1::MapConfig>, reader: &LogReader) -> Result<(), Failure> {
+        let described = to_wire_config(&map_config(&self.new_map, &self.sensor, reader.sensor())?);
+        let (there, described) = (serde_json::to_value(there)?, serde_json::to_value(described)?);
+        let words = differences(&there, &described);
+        if !words.is_empty() {
+            let words = words.join(", ");
+            note(&format!(
+                "map '{}' is used as it is there; by the log and the defaults it would differ: {words}",
+                self.map
+            ));
+        }
+        Ok(())
     }
 
     /// Says which robots' scans are not all in the map, though later ones are.
@@ -256,7 +275,7 @@ impl Replay {
             return Ok(None);
         }
         let limit = self.limit.map_or(u64::MAX, NonZeroU64::get);
-        let scans = open_log(&self.log, &self.bag)?.take_while(Result::is_ok).map(drop);
+        let scans = open_log(&self.log, &self.bag, self.scans.pose_error)?.take_while(Result::is_ok).map(drop);
         Ok(Some((0..limit).zip(scans).count() as u64))
     }
 
@@ -360,6 +379,11 @@ impl Replay {
                 "seconds": seconds,
             }));
         }
+        if tally.sent == 0 && tally.skipped > 0 && tally.failure.is_none() {
+            note("scans that are in the map stay there with the poses that they were sent with");
+            let (scans, revision) = (tally.skipped, tally.revision);
+            return say(&format!("nothing to send: all {scans} scans were there before; revision {revision}"));
+        }
         say(&format!(
             "{} scans sent in {seconds:.1} s ({}): {} applied, {} duplicates, {} rejected; {} were there before; revision {}",
             tally.sent,
@@ -371,6 +395,18 @@ impl Replay {
             tally.revision
         ))
     }
+}
+
+/// What two configurations do not have in common, as `resolution 0.05, not 0.1`; of what is no single value, its name.
+fn differences(there: &Value, described: &Value) -> Vec<String> {
+    let Value::Object(described) = described else { return Vec::new() };
+    let differing = described.iter().filter(|(key, value)| there.get(key.as_str()) != Some(value));
+    let told = differing.map(|(key, value)| match (there.get(key), value) {
+        (Some(Value::Object(_) | Value::Array(_)), _) | (_, Value::Object(_) | Value::Array(_)) => key.clone(),
+        (Some(there), value) => format!("{key} {there}, not {value}"),
+        (None, value) => format!("{key} the default, not {value}"),
+    });
+    told.collect()
 }
 
 pub(super) fn positive(text: &str) -> Result<f64, String> {

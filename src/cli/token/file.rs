@@ -4,6 +4,7 @@ use crate::cli::output::write_private;
 use crate::transport::access::{Grant, Roll, TokenHash};
 use anyhow::{Context, bail};
 use serde::Serialize;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -20,6 +21,8 @@ pub(super) struct TokenFile {
     path: PathBuf,
     text: String,
     roll: Roll,
+    /// Held from the reading to the writing, so that of two who change a file at a time neither undoes the other.
+    _alone: Option<File>,
 }
 
 #[derive(Serialize)]
@@ -37,6 +40,25 @@ struct Written<'a> {
 #[derive(Serialize)]
 struct Document<'a> {
     token: [Written<'a>; 1],
+}
+
+fn text(path: &Path) -> anyhow::Result<String> {
+    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+}
+
+/// Waits until nobody else changes the file. The file itself is replaced when it is changed, so the lock is on one beside it,
+/// which stays: who takes it away may leave two with a lock.
+fn lock(path: &Path) -> anyhow::Result<File> {
+    let followed = std::fs::canonicalize(path);
+    let mut name = followed.as_deref().unwrap_or(path).as_os_str().to_owned();
+    name.push(".lock");
+    let lock = PathBuf::from(name);
+    let mut options = File::options();
+    options.create(true).truncate(false).write(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let file = options.open(&lock).and_then(|file| file.lock().map(|()| file));
+    file.with_context(|| format!("cannot lock {}, which keeps two changes apart", lock.display()))
 }
 
 /// The lines of an entry.
@@ -66,26 +88,37 @@ impl TokenFile {
     /// # Errors
     /// That it is not there or not valid, and where.
     pub(super) fn read(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        Self::of(path, text)
+        Self::of(path, text(path)?, None)
     }
 
-    /// Reads a file, or begins one.
+    /// Reads a file that is to be changed. Waits until nobody else changes it.
     ///
     /// # Errors
-    /// As [`TokenFile::read`], but for a file that is not there.
-    pub(super) fn read_or_begin(path: &Path) -> anyhow::Result<Self> {
-        // A link that leads nowhere is there, and would be written through: it is read, which says what is wrong.
-        if path.symlink_metadata().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound) {
-            return Self::of(path, HEAD.to_owned());
-        }
-        Self::read(path)
+    /// As [`TokenFile::read`], and where it cannot be locked.
+    pub(super) fn read_to_change(path: &Path) -> anyhow::Result<Self> {
+        // What is not there needs no lock, and gets none beside it.
+        text(path)?;
+        let alone = lock(path)?;
+        Self::of(path, text(path)?, Some(alone))
     }
 
-    fn of(path: &Path, text: String) -> anyhow::Result<Self> {
+    /// Reads a file that is to be changed, or begins one.
+    ///
+    /// # Errors
+    /// As [`TokenFile::read_to_change`], but for a file that is not there.
+    pub(super) fn read_or_begin(path: &Path) -> anyhow::Result<Self> {
+        let alone = lock(path)?;
+        // A link that leads nowhere is there, and would be written through: it is read, which says what is wrong.
+        if path.symlink_metadata().is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound) {
+            return Self::of(path, HEAD.to_owned(), Some(alone));
+        }
+        Self::of(path, text(path)?, Some(alone))
+    }
+
+    fn of(path: &Path, text: String, alone: Option<File>) -> anyhow::Result<Self> {
         let roll =
             Roll::parse(&text).map_err(|problem| anyhow::anyhow!("{} is not valid: {problem}", path.display()))?;
-        Ok(Self { path: path.to_owned(), text, roll })
+        Ok(Self { path: path.to_owned(), text, roll, _alone: alone })
     }
 
     /// Its entries.

@@ -115,6 +115,10 @@ impl FileOption {
 
 impl Create {
     fn run(&self) -> Result<(), Failure> {
+        if self.robot.is_some() && self.role == Role::Read {
+            let problem = "--robot is whose scans a token may send, and one with --role read may send none";
+            return Err(Failure::Usage(format!("{problem}: say --role write, or leave --robot out")));
+        }
         let maps: Vec<&str> = self.maps.split(',').map(str::trim).filter(|map| !map.is_empty()).collect();
         let maps = MapScope::new(&maps).map_err(|problem| Failure::Usage(format!("--maps: {problem}")))?;
         let grant = Grant { role: self.role, maps, robot: self.robot.clone(), expires: self.expires };
@@ -192,7 +196,7 @@ impl List {
 impl Revoke {
     fn run(&self) -> Result<(), Failure> {
         let file = self.file.needed()?;
-        TokenFile::read(&file)?.remove(&self.name)?;
+        TokenFile::read_to_change(&file)?.remove(&self.name)?;
         if self.json {
             return say_json(&json!({ "revoked": self.name, "file": file.display().to_string() }));
         }

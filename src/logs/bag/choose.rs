@@ -60,9 +60,11 @@ pub(super) fn choose(mut survey: Survey, options: &BagOptions) -> Result<Choice,
         max_gap: (options.max_gap * 1e9) as i64,
         acceleration: options.max_acceleration.position,
         turn: options.max_acceleration.heading,
+        heading_error: options.pose_error.heading,
     };
     let words = format!("scans of {scans} (frame {laser:?}), {words}{passed_over}");
-    Ok(Choice { scans, placer: Placer { frames, poses, between, sweep: options.sweep }, words })
+    let placer = Placer { frames, poses, between, pose_error: options.pose_error, sweep: options.sweep };
+    Ok(Choice { scans, placer, words })
 }
 
 fn scan_topic(survey: &Survey, options: &BagOptions) -> Result<String, String> {

@@ -137,29 +137,41 @@ impl Frames {
         way.up.iter().chain(&way.down).filter_map(|frame| self.edges.get(frame)).any(|edge| edge.fixed.is_none())
     }
 
-    /// Where the last frame of a way is in the first at a time.
-    pub(super) fn along(&self, way: &Way, stamp: Stamp, between: &Between) -> Result<Near, Missing> {
+    /// Where the last frame of a way is in the first at a time, and how far it is from the last frame on the way that moves,
+    /// metres: what it swings with.
+    pub(super) fn along(&self, way: &Way, stamp: Stamp, between: &Between) -> Result<(Near, f64), Missing> {
         let mut here = Near::exact(nalgebra::Isometry3::identity());
+        let mut arm = here;
         let mut first = true;
-        let mut step = |edge: Near| {
+        let mut step = |edge: Near, moves: bool| {
             // An identity in front would round for nothing.
             here = if first { edge } else { here.then(&edge) };
+            arm = if moves { Near::exact(nalgebra::Isometry3::identity()) } else { arm.then(&edge) };
             first = false;
         };
         for frame in &way.up {
-            step(self.edge(frame, stamp, between)?.inverse());
+            let (edge, moves) = self.edge(frame, stamp, between)?;
+            step(edge.inverse(), moves);
         }
         for frame in &way.down {
-            step(self.edge(frame, stamp, between)?);
+            let (edge, moves) = self.edge(frame, stamp, between)?;
+            step(edge, moves);
         }
-        Ok(here)
+        Ok((here, arm.pose.translation.vector.norm()))
     }
 
-    fn edge(&self, frame: &str, stamp: Stamp, between: &Between) -> Result<Near, Missing> {
+    /// The poses of the last frame on a way that moves.
+    pub(super) fn carrier(&self, way: &Way) -> Option<&Track> {
+        let edges = way.up.iter().chain(&way.down).rev().filter_map(|frame| self.edges.get(frame));
+        edges.filter(|edge| edge.fixed.is_none()).map(|edge| &edge.track).next()
+    }
+
+    /// A frame in its parent, and whether it moves.
+    fn edge(&self, frame: &str, stamp: Stamp, between: &Between) -> Result<(Near, bool), Missing> {
         let Some(edge) = self.edges.get(frame) else { return Err(Missing::Before) };
         match edge.fixed {
-            Some(fixed) => Ok(fixed),
-            None => Ok(edge.track.at(stamp, between)?.0),
+            Some(fixed) => Ok((fixed, false)),
+            None => Ok((edge.track.at(stamp, between)?.near, true)),
         }
     }
 

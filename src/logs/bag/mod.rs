@@ -10,6 +10,7 @@ mod folder;
 mod frames;
 mod mcap_file;
 mod messages;
+mod motion;
 mod place;
 mod sqlite_file;
 mod survey;
@@ -24,7 +25,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use survey::Survey;
+use survey::{FirstScan, Survey};
 use track::Missing;
 
 pub(super) use folder::is_bag;
@@ -47,6 +48,9 @@ pub struct BagOptions {
     pub max_gap: f64,
     /// Bounds of the acceleration between two poses: metres and radians, each a second squared.
     pub max_acceleration: PoseError,
+    /// How far poses that do not tell their error may be off: what [`LogPose::bounds`](super::LogPose::bounds) is given. Here it
+    /// counts for the motion during a sweep, and for the axes of a covariance whose variance is 0.
+    pub pose_error: PoseError,
     /// Take the motion of the laser while it scans from the poses.
     pub sweep: bool,
 }
@@ -61,6 +65,7 @@ impl Default for BagOptions {
             sigma: 3.0,
             max_gap: 0.5,
             max_acceleration: PoseError { position: 3.0, heading: 6.0 },
+            pose_error: PoseError::default(),
             sweep: true,
         }
     }
@@ -136,6 +141,8 @@ impl Bag {
                 Unplaced::Missing(Missing::Before) => format!("{count} before the first pose"),
                 Unplaced::Missing(Missing::After) => format!("{count} after the last pose"),
                 Unplaced::Missing(Missing::Gap) => format!("{count} between poses more than {gap} s apart (--max-gap)"),
+                Unplaced::Missing(Missing::Turn) => format!("{count} between poses that may be half a turn apart"),
+                Unplaced::Slow => format!("{count} whose beams take longer than 51 s (--no-sweep)"),
                 Unplaced::Tilted => format!("{count} from a laser whose plane is tilted by more than 1 deg"),
                 Unplaced::Uncertain => format!("{count} with a pose wider than 2 m or 60 deg"),
             }
@@ -191,7 +198,7 @@ impl Bag {
 }
 
 /// What a scan says of its sensor.
-fn sensor(scan: &LaserScan) -> LogSensor {
+fn sensor(scan: &FirstScan) -> LogSensor {
     let finite = |value: f32| Some(f64::from(value)).filter(|value| value.is_finite());
     LogSensor {
         range_min: finite(scan.range_min).filter(|value| *value >= 0.0),

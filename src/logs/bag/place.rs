@@ -2,17 +2,31 @@
 
 use super::frames::{Frames, Way};
 use super::messages::{LaserScan, Stamp};
-use super::track::{Between, Missing, Near, Track, Variances};
+use super::motion::{Look, motion};
+use super::track::{Between, Missing, Near, Track, Variances, is_short_way};
 use crate::interval::Interval;
-use crate::logs::LogPose;
-use crate::sensor::PoseLimits;
-use nalgebra::{Isometry3, Vector3};
+use crate::logs::{LogPose, PoseError};
+use crate::sensor::{MAX_ROBOT_LENGTH, PoseLimits};
+use nalgebra::Vector3;
+use std::f64::consts::{SQRT_2, TAU};
 
 /// How far the laser's plane may be tilted, radians: 1 degree, whose cosine shortens 10 m by 1.5 mm.
 const MOST_TILT: f64 = 0.017_46;
 
-/// Pieces into which the time of a sweep is cut.
-const SWEEP_PIECES: i64 = 8;
+/// Fewest pieces into which the time of a sweep is cut.
+const FEWEST_PIECES: i64 = 8;
+
+/// Most pieces, a power of two times [`FEWEST_PIECES`].
+const MOST_PIECES: i64 = 1024;
+
+/// A longer piece is cut, nanoseconds: a laser turns by less than half a turn in it.
+const LONGEST_PIECE: i64 = 50_000_000;
+
+/// Poses before and after a sweep that are looked at for how fast the laser was.
+const MOST_POSES_ABOUT: usize = 16;
+
+/// Poses farther apart are not: any motion is within what can happen in that time, seconds.
+const LONGEST_ABOUT: f64 = 2.0;
 
 /// Why a scan has no place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -23,6 +37,8 @@ pub(super) enum Unplaced {
     Tilted,
     /// The pose's box is wider than a map takes.
     Uncertain,
+    /// Its sweep takes longer than can be looked at.
+    Slow,
 }
 
 /// What says where the robot was.
@@ -38,6 +54,8 @@ pub(super) struct Placer {
     pub(super) frames: Frames,
     pub(super) poses: Poses,
     pub(super) between: Between,
+    /// The error of what does not know its own: an axis' variance of 0, and, as the motion of a sweep goes, transforms.
+    pub(super) pose_error: PoseError,
     /// Take the laser's motion during a sweep into account.
     pub(super) sweep: bool,
 }
@@ -60,131 +78,182 @@ struct Spot {
     theta: Interval,
     whole: bool,
     upside_down: bool,
+    /// How far the laser is from the middle of what carries it, metres.
+    arm: f64,
 }
 
 impl Placer {
     /// The place of a scan.
     pub(super) fn place(&self, scan: &LaserScan) -> Result<Placed, Unplaced> {
-        let first = self.spot(scan.stamp)?;
         let steps = scan.ranges.len().saturating_sub(1) as f64;
-        let nanoseconds = f64::from(scan.time_increment).abs() * steps * 1e9;
-        if !self.sweep || nanoseconds < 1.0 {
-            return first.placed(0.0, 0.0);
+        let nanoseconds = (f64::from(scan.time_increment) * 1e9 * steps).round();
+        if !self.sweep || nanoseconds.abs() < 1.0 {
+            return self.spot(scan.stamp)?.placed(0.0, 0.0);
         }
-        // One that takes longer than a gap has no poses anyway.
-        let lasting = nanoseconds.min(self.between.max_gap as f64 * SWEEP_PIECES as f64) as i64;
+        if nanoseconds.abs() > (MOST_PIECES * LONGEST_PIECE) as f64 {
+            return Err(Unplaced::Slow);
+        }
         // Beams may be numbered against time.
-        let lasting = if scan.time_increment < 0.0 { -lasting } else { lasting };
-        let mut whole = first;
-        let (mut rotation, mut translation, mut last) = (0.0, 0.0, first);
-        for piece in 1..=SWEEP_PIECES {
-            let here = self.spot(scan.stamp.saturating_add(lasting / SWEEP_PIECES * piece))?.near(&last);
-            let (dx, dy) = (here.x.mid() - last.x.mid(), here.y.mid() - last.y.mid());
-            translation += dx.hypot(dy);
-            rotation += (here.theta.mid() - last.theta.mid()).abs();
-            whole = whole.hull(&here);
-            last = here;
+        let begin = scan.stamp.saturating_add((nanoseconds as i64).min(0));
+        let lasting = nanoseconds.abs() as i64;
+        let mut pieces = FEWEST_PIECES;
+        while pieces * LONGEST_PIECE < lasting {
+            pieces *= 2;
         }
-        // What the motion between two looks can leave the line by, at its ends and in the middle.
-        let piece = lasting.unsigned_abs() as f64 * 1e-9 / SWEEP_PIECES as f64;
-        let curve = 0.125 * piece * piece;
-        let (more, turn) = (self.between.acceleration * curve, self.between.turn * curve);
-        let pieces = 2.0 * SWEEP_PIECES as f64;
-        // Both ends may be off by what poses between samples are. The samples' own errors are taken for those of a drift that
-        // is the same all through a sweep.
-        let (slack, swing) = if first.whole {
-            (0.0, 0.0)
-        } else {
-            (2.0 * first.reach().max(last.reach()), 2.0 * first.theta.radius().max(last.theta.radius()))
+        // Rounded up: the last look is at the last beam or a moment after it.
+        let piece = (lasting + pieces - 1) / pieces;
+        let mut whole = self.spot(begin)?;
+        let mut last = whole;
+        let mut looks = vec![self.look(&whole, 0.0)];
+        for count in 1..=pieces {
+            last = self.spot(begin.saturating_add(piece * count))?.near(&last);
+            whole = whole.hull(&last);
+            looks.push(self.look(&last, seconds(piece * count)));
+        }
+        let about = self.about(begin, piece * pieces, &looks);
+        let motion = motion(&looks, &about, &self.between).ok_or(Unplaced::Uncertain)?;
+        whole.widened(motion.curve, motion.turn_curve).placed(motion.rotation, motion.translation)
+    }
+
+    /// Pairs of looks at the times of poses before and after a sweep.
+    fn about(&self, begin: Stamp, lasting: Stamp, looks: &[Look]) -> Vec<(Look, Look)> {
+        let mut pairs = Vec::new();
+        let track = match &self.poses {
+            Poses::Frames(way) => self.frames.carrier(way),
+            Poses::Topic { track, .. } => Some(track),
         };
-        whole.widened(more, turn).placed(rotation + pieces * turn + swing, translation + pieces * more + slack)
+        let (Some(track), Some(first), Some(last)) = (track, looks.first(), looks.last()) else { return pairs };
+        let (mut before, mut after) = ((begin, *first), (begin.saturating_add(lasting), *last));
+        for _ in 0..MOST_POSES_ABOUT {
+            let step = |stamp: Option<Stamp>, beside: &Look| {
+                let stamp = stamp?;
+                let mut look = self.look(&self.spot(stamp).ok()?, seconds(stamp.saturating_sub(begin)));
+                look.theta += ((beside.theta - look.theta) / TAU).round() * TAU;
+                Some((stamp, look))
+            };
+            let (earlier, later) = (step(track.earlier(before.0), &before.1), step(track.later(after.0), &after.1));
+            if earlier.is_none() && later.is_none() {
+                break;
+            }
+            before = earlier.unwrap_or(before);
+            after = later.unwrap_or(after);
+            if after.1.time - before.1.time > LONGEST_ABOUT {
+                break;
+            }
+            pairs.push((before.1, after.1));
+        }
+        pairs
+    }
+
+    /// A place as a look at it, with all that it may be off by.
+    fn look(&self, spot: &Spot, time: f64) -> Look {
+        // Where the poses do not tell their errors, these come on top later: to the box, but not to the motion.
+        let error = if spot.whole { PoseError::default() } else { self.pose_error };
+        Look {
+            time,
+            x: spot.x.mid(),
+            y: spot.y.mid(),
+            theta: spot.theta.mid(),
+            off: spot.x.radius().hypot(spot.y.radius()) + SQRT_2 * error.position,
+            turn_off: spot.theta.radius() + error.heading,
+            arm: spot.arm,
+        }
     }
 
     /// Where the laser was at a time.
     fn spot(&self, stamp: Stamp) -> Result<Spot, Unplaced> {
         match &self.poses {
             Poses::Frames(way) => {
-                let laser = self.frames.along(way, stamp, &self.between).map_err(Unplaced::Missing)?;
-                Spot::of(&laser)
+                let (laser, arm) = self.frames.along(way, stamp, &self.between).map_err(Unplaced::Missing)?;
+                Spot::of(&laser, arm)
             }
             Poses::Topic { track, mount, sigma } => {
-                let (robot, before, after) = track.at(stamp, &self.between).map_err(Unplaced::Missing)?;
-                let mount = self.frames.along(mount, stamp, &self.between).map_err(Unplaced::Missing)?;
-                match (half_widths(before, *sigma), half_widths(after, *sigma)) {
-                    (Some(before), Some(after)) => Spot::with_mount(&robot, &mount, worse(before, after)),
+                let found = track.at(stamp, &self.between).map_err(Unplaced::Missing)?;
+                let (mount, arm) = self.frames.along(mount, stamp, &self.between).map_err(Unplaced::Missing)?;
+                if found.before.is_none() && found.after.is_none() {
                     // A pose that does not know its error, like a transform.
-                    _ => Spot::of(&robot.then(&mount)),
+                    return Spot::of(&found.near.then(&mount), arm);
                 }
+                let half = worse(self.half_widths(found.before, *sigma), self.half_widths(found.after, *sigma));
+                if !is_short_way(found.turn, half[2]) {
+                    return Err(Unplaced::Missing(Missing::Turn));
+                }
+                // Errors of the heading are turns about the vertical. Where that is another way in the robot at the one pose
+                // than at the other, the line between two of which each has an error is not the true line turned: they differ by
+                // at most a quarter of the errors' sum times `lean`, and by terms of higher order.
+                let robot = Near { heading: found.near.heading + half[2] * found.lean, ..found.near };
+                Spot::with_mount(&robot, &mount, half, arm)
             }
         }
     }
+
+    /// `sigma` standard deviations of x, y and yaw, rounded up: the box of the ellipsoid, whatever its axes. A variance of 0 is
+    /// that of an axis that was not measured.
+    fn half_widths(&self, variances: Variances, sigma: f64) -> [f64; 3] {
+        let PoseError { position, heading } = self.pose_error;
+        let up = |variance: f64| (sigma * variance.sqrt().next_up()).next_up();
+        let half = |variance: f64, error: f64| if variance > 0.0 { up(variance) } else { error };
+        let [x, y, yaw] = variances.unwrap_or_default();
+        [half(x, position), half(y, position), half(yaw, heading)]
+    }
 }
 
-/// `sigma` standard deviations of x, y and yaw, rounded up: the box of the ellipsoid, whatever its axes.
-fn half_widths(variances: Variances, sigma: f64) -> Option<[f64; 3]> {
-    let up = |variance: f64| (sigma * variance.sqrt().next_up()).next_up();
-    variances.map(|variances| variances.map(|variance| if variance > 0.0 { up(variance) } else { 0.0 }))
+fn seconds(nanoseconds: i64) -> f64 {
+    nanoseconds as f64 * 1e-9
 }
 
 fn worse(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[0].max(b[0]), a[1].max(b[1]), a[2].max(b[2])]
 }
 
-/// The heading of a frame in the plane, and whether its z-axis points down.
+/// An interval about a value; the value alone where there is no radius.
+fn around(middle: f64, radius: f64) -> Interval {
+    if radius > 0.0 { Interval::around(middle, radius) } else { Interval::point(middle) }
+}
+
+/// The heading of a frame in the plane, how far it may be off, and whether its z-axis points down.
 ///
 /// # Errors
 /// [`Unplaced::Tilted`] for one that does neither.
-fn planar(pose: &Isometry3<f64>) -> Result<(f64, bool), Unplaced> {
-    let (x, z) = (pose.rotation * Vector3::x(), pose.rotation * Vector3::z());
-    if z.x.hypot(z.y) > MOST_TILT.sin() {
+fn planar(near: &Near) -> Result<(Interval, bool), Unplaced> {
+    let (x, z) = (near.pose.rotation * Vector3::x(), near.pose.rotation * Vector3::z());
+    let tilt = z.x.hypot(z.y);
+    if tilt > MOST_TILT.sin() {
         return Err(Unplaced::Tilted);
     }
-    Ok((x.y.atan2(x.x), z.z < 0.0))
+    // A turn of an axis that is tilted by `t` turns its heading by up to `1 / cos t` as much.
+    let steepest = tilt.asin() + near.heading;
+    if steepest > 1.0 {
+        return Err(Unplaced::Uncertain);
+    }
+    Ok((around(x.y.atan2(x.x), near.heading / steepest.cos()), z.z < 0.0))
 }
 
 impl Spot {
     /// A pose that does not know its error.
-    fn of(near: &Near) -> Result<Self, Unplaced> {
-        let (heading, upside_down) = planar(&near.pose)?;
-        let around = |middle: f64, radius: f64| {
-            if radius > 0.0 { Interval::around(middle, radius) } else { Interval::point(middle) }
-        };
+    fn of(near: &Near, arm: f64) -> Result<Self, Unplaced> {
+        let (theta, upside_down) = planar(near)?;
         let at = near.pose.translation.vector;
-        Ok(Self {
-            x: around(at.x, near.position),
-            y: around(at.y, near.position),
-            theta: around(heading, near.heading),
-            whole: false,
-            upside_down,
-        })
+        let (x, y) = (around(at.x, near.position), around(at.y, near.position));
+        Ok(Self { x, y, theta, whole: false, upside_down, arm })
     }
 
     /// A pose with bounds of its own, and the laser's place on the robot.
-    fn with_mount(robot: &Near, mount: &Near, half: [f64; 3]) -> Result<Self, Unplaced> {
-        let (heading, robot_down) = planar(&robot.pose)?;
-        let (laser_heading, laser_down) = planar(&mount.pose)?;
-        if robot_down {
-            return Err(Unplaced::Tilted);
+    fn with_mount(robot: &Near, mount: &Near, half: [f64; 3], arm: f64) -> Result<Self, Unplaced> {
+        // In space: a robot that pitches moves a laser that is high above its origin.
+        let laser = robot.then(mount);
+        let (theta, upside_down) = planar(&laser)?;
+        let (at, from) = (laser.pose.translation.vector, robot.pose.translation.vector);
+        let (x, y) = (around(at.x, half[0] + laser.position), around(at.y, half[1] + laser.position));
+        if half[2] == 0.0 {
+            return Ok(Self { x, y, theta, whole: true, upside_down, arm });
         }
-        let around = |middle: f64, radius: f64| {
-            if radius > 0.0 { Interval::around(middle, radius) } else { Interval::point(middle) }
-        };
-        let theta = around(heading, half[2] + robot.heading);
-        let at = robot.pose.translation.vector;
-        let (x, y) = (around(at.x, half[0] + robot.position), around(at.y, half[1] + robot.position));
-        let laser = mount.pose.translation.vector;
-        let (lx, ly) = (around(laser.x, mount.position), around(laser.y, mount.position));
-        let (x, y) = if laser.x == 0.0 && laser.y == 0.0 && mount.position == 0.0 {
-            (x, y)
-        } else {
-            (x + theta.cos() * lx - theta.sin() * ly, y + theta.sin() * lx + theta.cos() * ly)
-        };
-        let theta = if laser_heading == 0.0 && mount.heading == 0.0 {
-            theta
-        } else {
-            theta + around(laser_heading, mount.heading)
-        };
-        Ok(Self { x, y, theta, whole: true, upside_down: laser_down })
+        // The error of the robot's heading swings the laser about the vertical through the robot.
+        let (u, v) = (Interval::point(at.x - from.x), Interval::point(at.y - from.y));
+        let turn = Interval::around(0.0, half[2]);
+        let (less, sin) = (turn.cos() - Interval::point(1.0), turn.sin());
+        let (x, y) = (x + less * u - sin * v, y + sin * u + less * v);
+        Ok(Self { x, y, theta: theta + turn, whole: true, upside_down, arm })
     }
 
     /// With a heading of the same turn as another's.
@@ -196,11 +265,6 @@ impl Spot {
         self
     }
 
-    /// How far it reaches from its middle, metres.
-    fn reach(&self) -> f64 {
-        self.x.radius().hypot(self.y.radius())
-    }
-
     fn hull(&self, other: &Self) -> Self {
         Self {
             x: self.x.hull(other.x),
@@ -208,6 +272,7 @@ impl Spot {
             theta: self.theta.hull(other.theta),
             whole: self.whole && other.whole,
             upside_down: self.upside_down,
+            arm: self.arm.max(other.arm),
         }
     }
 
@@ -224,6 +289,9 @@ impl Spot {
         let (x, y, theta) = (self.x, self.y, self.theta);
         let widest = x.width().max(y.width());
         if !(widest <= limits.max_position_width && theta.width() <= limits.max_heading_width) {
+            return Err(Unplaced::Uncertain);
+        }
+        if !(sweep_rotation <= TAU && sweep_translation <= MAX_ROBOT_LENGTH) {
             return Err(Unplaced::Uncertain);
         }
         let pair = |interval: Interval| (interval.lo(), interval.hi());

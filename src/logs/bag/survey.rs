@@ -47,7 +47,7 @@ impl PoseTopic {
         }
         match pose.pose {
             Ok(there) => {
-                self.uncertain |= pose.variances.is_none();
+                self.uncertain |= pose.variances.is_none_or(|variances| variances.contains(&0.0));
                 self.track.push(Sample { stamp: pose.stamp, pose: there, variances: pose.variances });
             }
             Err(problem) => {
@@ -58,14 +58,24 @@ impl PoseTopic {
     }
 }
 
+/// What is kept of a scan.
+#[derive(Debug, Clone, Default)]
+pub(super) struct FirstScan {
+    /// The laser's frame.
+    pub(super) frame: String,
+    /// Metres.
+    pub(super) range_min: f32,
+    pub(super) range_max: f32,
+}
+
 /// What a bag has.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     pub(super) topics: BTreeMap<String, Arc<Topic>>,
     pub(super) frames: Frames,
     pub(super) poses: BTreeMap<String, PoseTopic>,
-    /// The first scan of each topic.
-    pub(super) scans: BTreeMap<String, LaserScan>,
+    /// Of the first scan of each topic what is asked for later. Not its ranges: of many topics they would fill the memory.
+    pub(super) scans: BTreeMap<String, FirstScan>,
     /// What ended the look early.
     pub(super) damage: Option<String>,
     samples: usize,
@@ -112,7 +122,8 @@ impl Survey {
                 if !self.scans.contains_key(topic)
                     && let Ok(scan) = messages::scan(data, max_beams)
                 {
-                    self.scans.insert(topic.to_owned(), scan);
+                    let LaserScan { frame, range_min, range_max, .. } = scan;
+                    self.scans.insert(topic.to_owned(), FirstScan { frame, range_min, range_max });
                 }
                 return Ok(());
             }

@@ -1,12 +1,16 @@
 //! A pose over time: samples, and what lies between two of them.
 //!
-//! Between two samples at `t0` and `t1` the pose is taken on the line between them (the heading likewise). If the true
-//! motion's acceleration is at most `a`, it leaves the line between its own poses at `t0` and `t1` by at most
-//! `a (t - t0) (t1 - t) / 2`, and that line leaves the line between the samples by no more than the worse of the two samples is
-//! off. So where the samples' errors are bounded, and the acceleration is, the pose between is.
+//! Between two samples at `t0` and `t1` the pose is taken on the line between them (the heading likewise, the short way
+//! round). If the true motion's acceleration is at most `a`, it leaves the line between its own poses at `t0` and `t1` by at
+//! most `a (t - t0) (t1 - t) / 2`, and that line leaves the line between the samples by no more than the worse of the two
+//! samples is off. So where the samples' errors are bounded, and the acceleration is, the pose between is.
+//!
+//! Rotations are a sphere (of unit quaternions), not a plane. Along the turn between two samples the bound is the same; across
+//! it, as of a robot that pitches while it turns, lines on a sphere come together: with `x` a quarter of the turn between the
+//! samples the bound is `(sec x - 1) / (x^2 / 2)` times as large, which is below `1 / cos^2 x`.
 
 use super::messages::Stamp;
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::{Isometry3, Translation3, Vector3};
 
 /// How poses between samples are found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,6 +21,8 @@ pub(super) struct Between {
     pub(super) acceleration: f64,
     /// Largest angular acceleration, radians a second squared.
     pub(super) turn: f64,
+    /// How far the heading of a sample may be off where the sample does not say so, radians.
+    pub(super) heading_error: f64,
 }
 
 /// A pose with how far it may be from the one that samples without errors would give.
@@ -59,6 +65,21 @@ pub(super) enum Missing {
     Before,
     After,
     Gap,
+    /// The samples about the time are half a turn apart: which way round is not known.
+    Turn,
+}
+
+/// A pose between two samples.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Found {
+    pub(super) near: Near,
+    /// What the sample before knows of its errors, and the one after.
+    pub(super) before: Variances,
+    pub(super) after: Variances,
+    /// The turn from the one to the other, radians.
+    pub(super) turn: f64,
+    /// How far the vertical moves, seen from the robot, from the one to the other: a length between unit vectors.
+    pub(super) lean: f64,
 }
 
 /// What a sample holds beside its pose.
@@ -95,12 +116,27 @@ impl Track {
         self.samples.is_empty()
     }
 
-    /// The pose at a time, and the variances of the samples about it.
-    pub(super) fn at(&self, stamp: Stamp, between: &Between) -> Result<(Near, Variances, Variances), Missing> {
+    /// The time of the last sample before a time.
+    pub(super) fn earlier(&self, stamp: Stamp) -> Option<Stamp> {
+        let next = self.samples.partition_point(|sample| sample.stamp < stamp);
+        next.checked_sub(1).and_then(|index| self.samples.get(index)).map(|sample| sample.stamp)
+    }
+
+    /// The time of the first sample after a time.
+    pub(super) fn later(&self, stamp: Stamp) -> Option<Stamp> {
+        self.samples.get(self.samples.partition_point(|sample| sample.stamp <= stamp)).map(|sample| sample.stamp)
+    }
+
+    /// The pose at a time.
+    ///
+    /// # Errors
+    /// What keeps it from being known.
+    pub(super) fn at(&self, stamp: Stamp, between: &Between) -> Result<Found, Missing> {
         let next = self.samples.partition_point(|sample| sample.stamp < stamp);
         let Some(after) = self.samples.get(next) else { return Err(Missing::After) };
         if after.stamp == stamp {
-            return Ok((Near::exact(after.pose), after.variances, after.variances));
+            let near = Near::exact(after.pose);
+            return Ok(Found { near, before: after.variances, after: after.variances, turn: 0.0, lean: 0.0 });
         }
         let Some(before) = next.checked_sub(1).and_then(|index| self.samples.get(index)) else {
             return Err(Missing::Before);
@@ -112,13 +148,26 @@ impl Track {
         let (since, left) = (seconds(stamp - before.stamp), seconds(after.stamp - stamp));
         let share = since / (since + left);
         let (a, b) = (before.pose, after.pose);
+        let turn = a.rotation.angle_to(&b.rotation);
+        if !is_short_way(turn, between.heading_error) {
+            return Err(Missing::Turn);
+        }
         let translation = a.translation.vector.lerp(&b.translation.vector, share);
-        // Half a turn between two samples has no one way: the first one's heading then, and the bound is for the user to see.
+        // There is no such line where the two are the same but for rounding: then either will do.
         let rotation = a.rotation.try_slerp(&b.rotation, share, 1e-9).unwrap_or(a.rotation);
         let pose = Isometry3::from_parts(Translation3::from(translation), rotation);
         // A little more than the bound, for the rounding of all this.
         let curve = 0.5 * since * left * (1.0 + 1e-9);
-        let near = Near { pose, position: between.acceleration * curve, heading: between.turn * curve };
-        Ok((near, before.variances, after.variances))
+        let sphere = (0.25 * turn).cos().powi(-2);
+        let near = Near { pose, position: between.acceleration * curve, heading: between.turn * curve * sphere };
+        let up = Vector3::z();
+        let lean = (a.rotation.inverse() * up - b.rotation.inverse() * up).norm();
+        Ok(Found { near, before: before.variances, after: after.variances, turn, lean })
     }
+}
+
+/// Is the short way round the true one, for samples that are this far apart and may each be off by `error`, radians? The robot
+/// is taken to turn by less than half a turn from one pose to the next.
+pub(super) fn is_short_way(turn: f64, error: f64) -> bool {
+    turn + 2.0 * error < std::f64::consts::PI - 1e-6
 }

@@ -2,9 +2,10 @@
 
 use super::cell::{BlockCell, LetGo};
 use crate::quadtree::Block;
+use crate::sync::{AtomicU64, AtomicUsize, Mutex};
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError, Weak};
 
 /// Bytes of a block in memory: with the counts before it and what an allocator adds.
 const BLOCK_BYTES: usize = size_of::<Block>() + 32;

@@ -2,11 +2,11 @@
 
 use super::cache::BlockCache;
 use crate::quadtree::{Block, BlockAddress, BlockMasks, BlockSlot, Class, ClassScale};
-use arc_swap::ArcSwapOption;
+use crate::sync::{ArcSwapOption, AtomicBool, Mutex, MutexGuard};
 use std::error::Error;
 use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use thiserror::Error;
 
 /// What is known of a stored block without reading it.

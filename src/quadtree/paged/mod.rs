@@ -13,6 +13,8 @@
 
 mod cache;
 mod cell;
+#[cfg(all(test, feature = "shuttle"))]
+mod schedules;
 
 pub use cache::{BlockCache, CacheStatistics};
 pub use cell::{Access, BlockCell, BlockPager, BlockSource, BlockTag, Held, PageError, PagedBlock, SourceError};

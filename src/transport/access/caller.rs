@@ -49,7 +49,8 @@ impl FromStr for Role {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let known = [Self::Read, Self::Write, Self::Admin].into_iter().find(|role| role.word() == text);
-        known.ok_or_else(|| format!("role must be read, write or admin, got {text:?}"))
+        // What it is instead is not quoted: it may be a token in the wrong place.
+        known.ok_or_else(|| "role must be read, write or admin".to_owned())
     }
 }
 

@@ -27,7 +27,7 @@ pub use caller::{Caller, Grant, MapScope, Role};
 pub use guarded::{Guarded, OnBehalf, Origin};
 pub use operation::{Operation, Reach};
 pub use refusals::{Reason, Refused};
-pub use roll::{Entry, Proof, Roll, RollError, entry_name, expiry};
+pub use roll::{Entry, Proof, Roll, RollError, entry_name, expiry, unquoted};
 pub use token::{PREFIX, Secret, TokenHash, bearer};
 
 const ENTRIES: &str = "ubbmap_access_entries";
@@ -241,8 +241,9 @@ impl FromFile {
         gauge!(STALE).set(if read.is_ok() { 0.0 } else { 1.0 });
         let mut roll = read.map_err(|error| error.to_string())?;
         let entries = roll.entries().len();
-        roll.succeed(&self.roll.load());
+        let gone = roll.succeed(&self.roll.load());
         self.roll.store(Arc::new(roll));
+        gone.iter().for_each(Caller::revoke);
         gauge!(ENTRIES).set(entries as f64);
         Ok(format!("{entries} entries of {}", self.path.display()))
     }

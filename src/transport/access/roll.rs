@@ -1,7 +1,7 @@
 //! The file that says who may do what: one entry for each token or client certificate.
 
 use super::caller::{Caller, Grant, MapScope, Role};
-use super::token::TokenHash;
+use super::token::{PREFIX, TokenHash};
 use crate::store::RobotName;
 use crate::transport::tls::Named;
 use serde::Deserialize;
@@ -18,6 +18,9 @@ const MOST_ENTRIES: usize = 10_000;
 
 /// What stands for any robot where a certificate's own is what is meant by saying nothing.
 const ANY_ROBOT: &str = "*";
+
+/// Longest name of a field that a message tells, characters. What is longer may be a secret.
+const LONGEST_FIELD: usize = 16;
 
 /// Longest name of an entry, characters.
 const LONGEST_NAME: usize = 80;
@@ -118,6 +121,10 @@ impl Roll {
             let at = line.map(|line| format!("line {line}: ")).unwrap_or_default();
             format!("{at}{}", unquoted(error.message()))
         })?;
+        Self::of(document).map_err(|problem| without_tokens(&problem))
+    }
+
+    fn of(document: Document) -> Result<Self, String> {
         if document.token.len() + document.certificate.len() > MOST_ENTRIES {
             return Err(format!("it has more than {MOST_ENTRIES} entries, the limit"));
         }
@@ -208,9 +215,12 @@ impl Roll {
         whole
     }
 
-    /// Takes the place of an earlier roll: entries that are as they were keep their caller, so their streams go on; the
-    /// others of the earlier one are revoked.
-    pub fn succeed(&mut self, earlier: &Self) {
+    /// Takes the place of an earlier roll: entries that are as they were keep their caller, so their streams go on. Returns the
+    /// others of the earlier one, which are to be revoked once this one is in force: before that, who has a changed entry would
+    /// be refused.
+    #[must_use]
+    pub fn succeed(&mut self, earlier: &Self) -> Vec<Caller> {
+        let mut gone = Vec::new();
         for old in &earlier.entries {
             let same = self.entries.iter_mut().find(|new| {
                 new.caller.name() == old.caller.name()
@@ -219,9 +229,10 @@ impl Roll {
             });
             match same {
                 Some(new) => new.caller = old.caller.clone(),
-                None => old.caller.revoke(),
+                None => gone.push(old.caller.clone()),
             }
         }
+        gone
     }
 }
 
@@ -269,26 +280,41 @@ pub fn entry_name(name: &str) -> Result<(), String> {
 /// # Errors
 /// That it is none.
 pub fn expiry(text: &str) -> Result<SystemTime, String> {
-    humantime::parse_rfc3339(text).map_err(|_| {
-        let text: String = text.chars().take(40).collect();
-        format!("expires must be a time as in \"2027-01-31T00:00:00Z\", got {text:?}")
-    })
+    // What it is instead is not quoted: it may be a token in the wrong place.
+    humantime::parse_rfc3339(text).map_err(|_| "expires must be a time as in \"2027-01-31T00:00:00Z\"".to_owned())
 }
 
-/// A message without what it quotes of the file: the names of fields stand between backquotes, values between others.
-fn unquoted(message: &str) -> String {
-    let mut inside = false;
+/// A message without what it quotes of the file: values stand between quotes, the names of fields between backquotes. Of those
+/// only what looks like a field's name stays: a token may stand where one should.
+pub fn unquoted(message: &str) -> String {
     let mut out = String::new();
+    let mut quoted: Option<(char, String)> = None;
     for c in message.chars().filter(|c| *c != '\n') {
-        if c == '"' {
-            if inside {
-                out.push('…');
+        match &mut quoted {
+            None if c == '"' || c == '`' => quoted = Some((c, String::new())),
+            None => out.push(c),
+            Some((mark, text)) if c == *mark => {
+                let is_word =
+                    text.len() <= LONGEST_FIELD && text.bytes().all(|byte| byte.is_ascii_lowercase() || byte == b'_');
+                let shown = if (*mark == '`' && is_word) || text == "sha256" { text } else { "…" };
+                out.push(*mark);
+                out.push_str(shown);
+                out.push(*mark);
+                quoted = None;
             }
-            inside = !inside;
+            Some((_, text)) => text.push(c),
         }
-        if !inside || c == '"' {
-            out.push(c);
-        }
+    }
+    out
+}
+
+/// A message without the tokens in it, as of one that stands where a name should.
+fn without_tokens(message: &str) -> String {
+    let mut parts = message.split(PREFIX);
+    let mut out = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let rest = part.trim_start_matches(|c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        out.extend([PREFIX, "…", rest]);
     }
     out
 }

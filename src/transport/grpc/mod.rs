@@ -37,6 +37,9 @@ pub struct GrpcSettings {
     pub scans_per_stream: usize,
 }
 
+/// Largest message of health and reflection, bytes.
+const SMALL_MESSAGE: usize = 64 << 10;
+
 /// The routes over a service, to be merged with those of REST. Starts the task that tells the health.
 ///
 /// # Errors
@@ -48,13 +51,13 @@ pub fn router(service: Guarded, settings: GrpcSettings, door: Door) -> Result<Ro
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
     let limit = settings.message_bytes;
-    let health = health::watched(service.clone(), door.clone());
+    let health = health::watched(service.clone(), door.clone()).max_decoding_message_size(SMALL_MESSAGE);
     let around = (limit, door.clone());
     let maps = MapServiceServer::new(MapRpc::new(settings, door)).max_decoding_message_size(limit);
     let router = tonic::service::Routes::new(maps)
         .add_service(health)
-        .add_service(reflection().build_v1()?)
-        .add_service(reflection().build_v1alpha()?)
+        .add_service(reflection().build_v1()?.max_decoding_message_size(SMALL_MESSAGE))
+        .add_service(reflection().build_v1alpha()?.max_decoding_message_size(SMALL_MESSAGE))
         .into_axum_router()
         .reset_fallback();
     Ok(router

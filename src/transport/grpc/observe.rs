@@ -24,8 +24,8 @@ const TOTAL: &str = "ubbmap_grpc_calls_total";
 /// What begins with this is the interface's own.
 pub const SERVICE: &str = "/ubbmap.v1.MapService/";
 
-/// Those whose requests are streams; so are those of reflection.
-const STREAMED: [&str; 3] = ["StreamScans", "ImportMap", "other"];
+/// Those whose requests are streams.
+const STREAMED: [&str; 2] = ["StreamScans", "ImportMap"];
 
 /// Tells the recorder what each metric means. Call it once, after the recorder is installed.
 pub fn describe_metrics() {
@@ -65,10 +65,22 @@ pub async fn observe(State((limit, door)): State<(usize, Door)>, request: Reques
 }
 
 /// Lets a call in with what it may take of the server's memory, and keeps the answer's until it has gone out.
+///
+/// Health and reflection are for everybody: their messages are small, so they take nothing of the memory that others need,
+/// and each client has so many of them.
 async fn guarded(door: &Door, request: Request, next: Next, method: &str) -> Result<Response, ServiceError> {
-    let shape = if STREAMED.contains(&method) { Shape::Messages } else { Shape::Whole };
-    let (request, admitted) = guard::admit(door, request, Some(shape), |error| Error::new(to_status(&error)))?;
-    admitted.answer(door, next.run(request).await)
+    let wrap = |error: ServiceError| Error::new(to_status(&error));
+    if !request.uri().path().starts_with(SERVICE) {
+        let share = door.aside(request.extensions().get::<Client>())?;
+        let (request, admitted) = guard::admit(door, request, None, wrap)?;
+        return admitted.answer(door, next.run(request).await, share);
+    }
+    let streamed = STREAMED.contains(&method);
+    let shape = if streamed { Shape::Messages } else { Shape::Whole };
+    let (request, admitted) = guard::admit(door, request, Some(shape), wrap)?;
+    // A stream's messages have a time each; the one message of a call comes within the call's.
+    let response = if streamed { next.run(request).await } else { door.timed(next.run(request)).await? };
+    admitted.answer(door, response, ())
 }
 
 /// The answer to a call whose handler panicked. The panic's words are for the log.

@@ -38,6 +38,8 @@ pub fn from_status(status: &Status, limit: usize) -> ServiceError {
         Code::OutOfRange => too_large(limit),
         // The server's memory for what comes in; counted where it was refused.
         Code::ResourceExhausted => ServiceError::new(ErrorKind::Busy, status.message()),
+        // A message that did not end; counted likewise.
+        Code::DeadlineExceeded => ServiceError::new(ErrorKind::Timeout, status.message()),
         Code::InvalidArgument => ServiceError::new(ErrorKind::InvalidRequest, status.message()),
         _ => ServiceError::new(ErrorKind::InvalidRequest, "the stream broke off"),
     }

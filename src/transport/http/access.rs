@@ -3,11 +3,13 @@
 use super::{App, HttpError, Shared};
 use crate::service::ServiceError;
 use crate::transport::access::{OnBehalf, Origin, Peer, Role, Shown};
+use crate::transport::intake::Held;
 use axum::body::Body;
 use axum::extract::{FromRequestParts, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderName, header};
 use http_body_util::BodyExt;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// What the caller may do, told with every answer to a caller that is known: pages leave out what would be refused.
@@ -45,7 +47,7 @@ pub async fn admit(app: &Shared, request: Request) -> (Request, Option<Role>) {
     if role.is_some() {
         return (Request::from_parts(parts, body), role);
     }
-    discard(body, app).await;
+    discard(body, &parts, app).await;
     (Request::from_parts(parts, Body::empty()), None)
 }
 
@@ -57,11 +59,13 @@ fn identify(app: &Shared, parts: &Parts) -> Result<OnBehalf, ServiceError> {
 }
 
 /// Reads a body and throws it away, up to the size of a large one and for a short time.
-pub async fn discard(mut body: Body, app: &Shared) {
+pub async fn discard(mut body: Body, parts: &Parts, app: &Shared) {
+    let held = parts.extensions.get::<Arc<Held>>();
     let read = async {
         let mut total = 0;
         while let Some(Ok(frame)) = body.frame().await {
             total += frame.data_ref().map_or(0, |data| data.len());
+            Held::forget(held);
             if total > app.settings.body_bytes {
                 break;
             }

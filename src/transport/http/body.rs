@@ -47,7 +47,7 @@ pub enum ScanEncoding {
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::UnsupportedMediaType`] for an encoding other than gzip,
 /// [`ErrorKind::InvalidRequest`] for a body that breaks off or is not gzip.
 pub async fn read(parts: &Parts, body: Body, limit: Limit) -> Result<Bytes, HttpError> {
-    let bytes = collect(body, limit).await?;
+    let bytes = collect(parts, body, limit).await?;
     let encoding = header_text(&parts.headers, &header::CONTENT_ENCODING)?;
     match encoding.as_deref() {
         None | Some("" | "identity") => Ok(bytes),
@@ -130,7 +130,7 @@ pub async fn apart<T: Send + 'static>(
 ///
 /// # Errors
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::InvalidRequest`] for one that breaks off.
-pub async fn collect(mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
+pub async fn collect(parts: &Parts, mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
     let mut kept: Vec<u8> = Vec::new();
     let mut only = Bytes::new();
     let mut total = 0;
@@ -151,6 +151,7 @@ pub async fn collect(mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
         if total > most {
             kept = Vec::new();
             only = Bytes::new();
+            Held::forget(parts.extensions.get::<Arc<Held>>());
         }
         if total > most.saturating_mul(DISCARDED_LIMITS) {
             break;

@@ -1,6 +1,6 @@
 //! Streams of JSON lines (NDJSON): scans that come in one by one, and messages that go out one by one.
 
-use super::body;
+use super::body::{self, ScanEncoding};
 use super::problem::Problem;
 use crate::service::{ErrorKind, ServiceError, setting};
 use crate::store::MapName;
@@ -18,14 +18,16 @@ use tokio_stream::wrappers::ReceiverStream;
 /// Media type of JSON lines.
 pub const NDJSON: &str = "application/x-ndjson";
 
-/// Does the client want a line for each of its scans as soon as it is durable?
-pub fn wanted(headers: &HeaderMap) -> bool {
-    headers
+/// Does the client send scans as lines, and want a line for each as soon as it is durable?
+pub fn streamed(headers: &HeaderMap) -> bool {
+    let as_lines = body::scan_encoding(headers).is_ok_and(|form| form == ScanEncoding::Lines);
+    let wanted = headers
         .get_all(header::ACCEPT)
         .iter()
         .filter_map(|value| value.to_str().ok())
         .flat_map(|value| value.split(','))
-        .any(|range| range.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(NDJSON))
+        .any(|range| range.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(NDJSON));
+    as_lines && wanted
 }
 
 /// A response of one line a message. The last line is a problem where the stream ends by an error.

@@ -59,7 +59,7 @@ async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Res
     let shape = if route == IMPORT_MAP.path {
         // A file has a limit of its own.
         None
-    } else if route == INSERT_SCANS.path && lines::wanted(request.headers()) {
+    } else if route == INSERT_SCANS.path && lines::streamed(request.headers()) {
         Some(Shape::Lines)
     } else {
         Some(Shape::Whole)
@@ -81,7 +81,7 @@ async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Res
     } else {
         limited(app, request, next, route).await?
     };
-    admitted.answer(&app.door, response)
+    admitted.answer(&app.door, response, ())
 }
 
 /// `import`: the body is a whole map and may be long on its way, so it has a time and places of its own.

@@ -3,7 +3,7 @@
 use super::body::{self, ScanEncoding};
 use super::params::no_params;
 use super::path::MapPath;
-use super::{App, HttpError, accept, lines, respond};
+use super::{App, HttpError, accept, access, lines, respond};
 use crate::store::MapName;
 use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::client::Client;
@@ -26,15 +26,20 @@ pub async fn insert(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    if lines::wanted(&parts.headers)
-        && body::scan_encoding(&parts.headers).is_ok_and(|form| form == ScanEncoding::Lines)
-    {
+    if lines::streamed(&parts.headers) {
         let MapPath(map) = path?;
         return stream(app, caller, &map, &parts, body).await;
     }
+    let may = path.and_then(|MapPath(map)| Ok(caller.may(Operation::InsertScans, &map).map(|()| map)?));
+    let map = match may {
+        Ok(map) => map,
+        Err(refusal) => {
+            // Nothing of it is kept of one whose scans are not taken.
+            access::discard(body, &parts, &app).await;
+            return Err(refusal);
+        }
+    };
     let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
-    let MapPath(map) = path?;
-    caller.may(Operation::InsertScans, &map)?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let encoding = body::scan_encoding(&parts.headers)?;

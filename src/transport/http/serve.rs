@@ -22,6 +22,8 @@ use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 const CONNECTIONS: &str = "ubbmap_connections_open";
@@ -40,6 +42,9 @@ const HEAD_LINES: usize = 200;
 
 /// Streams of one connection of HTTP/2 that a client may begin and reset before they are looked at; more end the connection.
 const RESETS: usize = 20;
+
+/// How long the end waits for connections that are cut off.
+const LAST: Duration = Duration::from_secs(1);
 
 /// Limits on connections.
 #[derive(Debug, Clone)]
@@ -93,7 +98,7 @@ pub async fn serve(
     let builder = builder(limits);
     let patience = limits.header_timeout;
     let connections = Arc::new(Semaphore::new(limits.connections));
-    let graceful = GracefulShutdown::new();
+    let (graceful, tasks, over) = (GracefulShutdown::new(), TaskTracker::new(), CancellationToken::new());
     tokio::pin!(stop);
     loop {
         let accepted = async {
@@ -122,9 +127,9 @@ pub async fn serve(
         // One that is only told that it is too many is not kept.
         let idle = if client.is_refused() { limits.header_timeout } else { limits.idle_timeout };
         let (router, tls) = (router.clone(), tls.clone());
-        let (builder, watcher) = (builder.clone(), graceful.watcher());
+        let (builder, watcher, over) = (builder.clone(), graceful.watcher(), over.clone());
         let moving = limits.idle_timeout;
-        tokio::spawn(async move {
+        tasks.spawn(async move {
             let (_share, _counted) = (share, Counted::new());
             let Some(Opened { stream, certificate }) = open(stream, address, tls, patience).await else { return };
             let peer = Peer { address: Some(address), certificate, listener: kind };
@@ -139,6 +144,8 @@ pub async fn serve(
                     // A client that went away or sent no HTTP: its affair.
                     tracing::debug!(%error, "a connection ended early");
                 },
+                () = client.stuck(moving) => tracing::debug!(%address, "closed: an answer was not taken for too long"),
+                () = over.cancelled() => tracing::debug!(%address, "closed: the server ends"),
                 () = client.idle(idle) => tracing::debug!(%address, "closed: nothing came for too long"),
             }
             drop(permit);
@@ -147,6 +154,12 @@ pub async fn serve(
     drop(listener);
     if tokio::time::timeout(limits.grace, graceful.shutdown()).await.is_err() {
         tracing::warn!("requests were still under way at the end of the time of grace");
+    }
+    // What is left holds the server's parts, and would do so for as long as its clients like.
+    over.cancel();
+    tasks.close();
+    if tokio::time::timeout(LAST, tasks.wait()).await.is_err() {
+        tracing::warn!("connections did not end with the server");
     }
 }
 

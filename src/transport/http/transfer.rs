@@ -79,11 +79,11 @@ pub async fn import(
         && let Err(refused) = caller.may(Operation::ImportMap, map)
     {
         // Nobody holds a whole file in memory for whom nothing is made of it.
-        access::discard(body, &app).await;
+        access::discard(body, &parts, &app).await;
         return Err(refused.into());
     }
     body::plain(&parts.headers)?;
-    let file = body::collect(body, app.settings.import_limit()).await?;
+    let file = body::collect(&parts, body, app.settings.import_limit()).await?;
     let MapPath(map) = path?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;

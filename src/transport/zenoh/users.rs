@@ -4,9 +4,10 @@
 //! file is for the server's user alone.
 
 use crate::store::RobotName;
-use crate::transport::access::{Grant, MapScope, Role};
+use crate::transport::access::{Grant, MapScope, Role, unquoted};
 use serde::Deserialize;
 use std::collections::BTreeSet;
+use std::io::Read;
 use std::path::Path;
 
 /// Largest file, bytes.
@@ -65,10 +66,16 @@ struct Written {
 pub fn read(path: &Path) -> Result<Vec<User>, String> {
     let failed = |error: std::io::Error| format!("cannot read {}: {error}", path.display());
     let known = std::fs::metadata(path).map_err(failed)?;
-    if known.len() > MOST_BYTES {
-        return Err(format!("{} has {} bytes, at most {MOST_BYTES} are read", path.display(), known.len()));
+    if !known.is_file() {
+        return Err(format!("{} is no file: a pipe or a device would be read without end", path.display()));
     }
-    let text = std::fs::read_to_string(path).map_err(failed)?;
+    // It may grow after it was looked at.
+    let mut text = String::new();
+    let file = std::fs::File::open(path).map_err(failed)?;
+    file.take(MOST_BYTES + 1).read_to_string(&mut text).map_err(failed)?;
+    if text.len() as u64 > MOST_BYTES {
+        return Err(format!("{} has more than {MOST_BYTES} bytes, the limit", path.display()));
+    }
     let users = parse(&text).map_err(|problem| format!("{}: {problem}", path.display()))?;
     warn_if_readable(path, &known);
     Ok(users)
@@ -86,6 +93,8 @@ pub fn parse(text: &str) -> Result<Vec<User>, String> {
         let words = error.message();
         let names_a_field = ["unknown field", "missing field", "duplicate key"].iter().any(|&w| words.starts_with(w));
         let why = if names_a_field { words.lines().next().unwrap_or(words) } else { "this is not TOML of users" };
+        // A field may have a password for its name.
+        let why = unquoted(why);
         format!("{at}{why}")
     })?;
     if document.user.is_empty() {
