@@ -5,6 +5,8 @@
 //!
 //! `cargo bench --bench load -- overload [--robots 40] [--seconds 20]`: five times what it can carry (`overload.rs`).
 //!
+//! `cargo bench --bench load -- soak [--minutes 60] [--robots 24]`: an hour with restarts, held to its bounds (`soak/mod.rs`).
+//!
 //! `--rate`: scans a second of all robots together; `--window`: scans of one robot under way at most; `--queries`: tiles, and as
 //! many guaranteed-free queries, a second. A scan's latency is from its sending to its acknowledgement, a query's from when it
 //! was due to its answer.
@@ -21,6 +23,7 @@ mod overload;
 mod planners;
 mod robots;
 mod server;
+mod soak;
 
 use figures::{Latencies, percentile};
 use robots::Fleet;
@@ -31,6 +34,9 @@ use std::time::{Duration, Instant};
 /// What is sent before the measurement begins.
 const WARM_UP: Duration = Duration::from_secs(2);
 
+/// Robots of a soak where their number is not given.
+const SOAKED: usize = 24;
+
 /// What is asked for on the command line.
 #[derive(Debug, Clone)]
 pub struct Options {
@@ -40,6 +46,7 @@ pub struct Options {
     seconds: f64,
     window: usize,
     queries: f64,
+    minutes: f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,11 +55,20 @@ enum Transport {
     Zenoh,
     /// Not a transport: five times what gRPC carries.
     Overload,
+    /// Nor this: an hour at half load.
+    Soak,
 }
 
 fn options() -> Options {
-    let mut options =
-        Options { transports: Vec::new(), robots: 100, rate: 5000.0, seconds: 10.0, window: 32, queries: 1000.0 };
+    let mut options = Options {
+        transports: Vec::new(),
+        robots: 100,
+        rate: 5000.0,
+        seconds: 10.0,
+        window: 32,
+        queries: 1000.0,
+        minutes: 60.0,
+    };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let mut number = || words.next().and_then(|text| text.parse::<f64>().ok()).expect("a number after the option");
@@ -60,6 +76,11 @@ fn options() -> Options {
             "grpc" => options.transports.push(Transport::Grpc),
             "zenoh" => options.transports.push(Transport::Zenoh),
             "overload" => options.transports.push(Transport::Overload),
+            "soak" => {
+                options.transports.push(Transport::Soak);
+                options.robots = SOAKED;
+            }
+            "--minutes" => options.minutes = number(),
             "--robots" => options.robots = number() as usize,
             "--rate" => options.rate = number(),
             "--seconds" => options.seconds = number(),
@@ -79,6 +100,9 @@ fn options() -> Options {
 fn main() {
     let options = options();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    if options.transports == [Transport::Soak] {
+        return runtime.block_on(soak::run(options.minutes, options.robots));
+    }
     let fleet = Arc::new(Fleet::new(options.robots));
     if options.transports == [Transport::Overload] {
         return runtime.block_on(overload::run(options.robots, options.seconds, &fleet));
@@ -95,6 +119,7 @@ fn main() {
         runtime.block_on(async {
             match transport {
                 Transport::Overload => overload::run(options.robots, options.seconds, &fleet).await,
+                Transport::Soak => soak::run(options.minutes, options.robots).await,
                 _ => measure(transport, &options, &fleet).await,
             }
         });
@@ -112,7 +137,7 @@ async fn measure(transport: Transport, options: &Options, fleet: &Arc<Fleet>) {
     match transport {
         Transport::Grpc => robots::grpc(&server, options, fleet, &acknowledged, begin, end, &mut work).await,
         Transport::Zenoh => robots::zenoh(&server, options, fleet, &acknowledged, begin, end, &mut work).await,
-        Transport::Overload => return,
+        Transport::Overload | Transport::Soak => return,
     }
     planners::ask(&server, options.queries, fleet, &planners, begin, end, &mut work).await;
     tokio::time::sleep_until((begin + WARM_UP).into()).await;

@@ -7,7 +7,7 @@
 use crate::figures::{Latencies, percentile};
 use crate::planners;
 use crate::robots::Fleet;
-use crate::server::Server;
+use crate::server::{Server, Usage};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -32,8 +32,9 @@ const TIMES: f64 = 5.0;
 /// The greedy robot's part of what is offered.
 const GREEDY: f64 = 0.5;
 
-/// Requests of one robot without an answer at most; one that would be too many is not sent, and is counted.
-const WAITING: usize = 400;
+/// Requests of one robot without an answer at most; one that would be too many is not sent, and is counted. Their scans have to
+/// fit into the robot's window of 1,024 numbers, since they overtake each other.
+const WAITING: usize = 40;
 
 /// Planners' tiles a second, and as many guaranteed-free queries.
 const QUERIES: f64 = 50.0;
@@ -77,12 +78,14 @@ pub async fn run(robots: usize, seconds: f64, fleet: &Arc<Fleet>) {
         let offer = Offer { robot, rate, begin, end };
         work.spawn(offer.send(client(&server).await, Arc::clone(fleet), Arc::clone(fate), times.clone()));
     }
+    let (before, own_before) = (server.usage().cpu_seconds, Usage::own().cpu_seconds);
     let asked = planners::Asked::default();
     planners::ask(&server, QUERIES, fleet, &asked, begin, end, &mut work).await;
     while Instant::now() < end {
         peak.fetch_max(server.usage().memory_bytes as usize, Ordering::Relaxed);
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
+    let (after, own_after) = (server.usage().cpu_seconds, Usage::own().cpu_seconds);
     tokio::time::sleep(Duration::from_secs(5)).await;
     done.store(true, Ordering::Relaxed);
     let probes = probing.await.unwrap();
@@ -90,6 +93,9 @@ pub async fn run(robots: usize, seconds: f64, fleet: &Arc<Fleet>) {
         ended.unwrap();
     }
     tell(&fates, &times, &asked, seconds);
+    // Both share the machine: a client that has no processor left sees its own delay in every answer.
+    let share = |after: f64, before: f64| 100.0 * (after - before) / (end - begin).as_secs_f64();
+    println!("CPU of the server {:.0} %, of the clients {:.0} %", share(after, before), share(own_after, own_before));
     println!(
         "memory at most {:.0} MB, {:.0} MB after",
         peak.load(Ordering::Relaxed) as f64 / 1e6,

@@ -33,9 +33,14 @@ pub struct Fleet {
 
 impl Fleet {
     pub fn new(robots: usize) -> Self {
+        Self::with_scans(robots, SCANS)
+    }
+
+    /// With so many different scans of each robot.
+    pub fn with_scans(robots: usize, count: usize) -> Self {
         let mut simulation = Simulation::new(1, robots);
         let (mut scans, mut places) = (vec![Vec::new(); robots], Vec::new());
-        for _ in 0..SCANS {
+        for _ in 0..count {
             for (robot, scan) in simulation.step().into_iter().enumerate() {
                 places.push((scan.truth.x, scan.truth.y));
                 scans[robot % robots].push(message(&scan));

@@ -26,6 +26,19 @@ pub struct Usage {
     pub memory_bytes: f64,
 }
 
+/// Of a map with the fleet's sensor.
+pub fn map_config() -> v1::MapConfig {
+    let spec = Fleet::sensor();
+    let sensor = v1::Sensor {
+        range_error: Some(v1::RangeError { minus: Some(spec.range_error_minus), plus: Some(spec.range_error_plus) }),
+        range_max: Some(spec.range_max),
+        no_return_free_to: spec.no_return_free_to,
+        mount: Some(v1::Mount { x: spec.mount.x, y: spec.mount.y, theta: spec.mount.theta }),
+        ..v1::Sensor::default()
+    };
+    v1::MapConfig { sensors: [("default".to_owned(), sensor)].into(), ..v1::MapConfig::default() }
+}
+
 impl Server {
     /// A server on an empty directory beside the build, with a router of Zenoh.
     pub fn start() -> Self {
@@ -49,19 +62,7 @@ impl Server {
 
     /// The map `hall` with the fleet's sensor.
     pub async fn create_map(&self) {
-        let spec = Fleet::sensor();
-        let sensor = v1::Sensor {
-            range_error: Some(v1::RangeError {
-                minus: Some(spec.range_error_minus),
-                plus: Some(spec.range_error_plus),
-            }),
-            range_max: Some(spec.range_max),
-            no_return_free_to: spec.no_return_free_to,
-            mount: Some(v1::Mount { x: spec.mount.x, y: spec.mount.y, theta: spec.mount.theta }),
-            ..v1::Sensor::default()
-        };
-        let config = v1::MapConfig { sensors: [("default".to_owned(), sensor)].into(), ..v1::MapConfig::default() };
-        let request = v1::CreateMapRequest { map: "hall".to_owned(), config: Some(config) };
+        let request = v1::CreateMapRequest { map: "hall".to_owned(), config: Some(map_config()) };
         MapServiceClient::connect(self.url.clone()).await.unwrap().create_map(request).await.unwrap();
     }
 

@@ -8,6 +8,7 @@ mod cors;
 #[cfg(test)]
 mod http_tests;
 mod lines;
+mod lingering;
 mod maps;
 mod observe;
 mod openapi;

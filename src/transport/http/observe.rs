@@ -3,6 +3,7 @@
 use super::lines;
 use super::openapi::table::{IMPORT_MAP, INSERT_SCANS};
 use super::problem::HttpError;
+use super::serve::describe_connections;
 use super::{App, Shared, access};
 use crate::service::{ErrorKind, ServiceError};
 use crate::transport::client::Client;
@@ -28,6 +29,7 @@ const TOTAL: &str = "ubbmap_http_requests_total";
 pub fn describe_metrics() {
     describe_histogram!(SECONDS, "Seconds from a request's head to its answer, by method and route");
     describe_counter!(TOTAL, "Requests by method, route and status");
+    describe_connections();
 }
 
 /// Limits, times and counts a request.

@@ -1,11 +1,12 @@
 //! The listener: connections are accepted, limited, timed, and let go at the end.
 
+use super::lingering::{Lingering, linger};
 use super::problem::{HttpError, PROBLEM_JSON, Problem};
 use super::steady::Steady;
 use crate::service::{ErrorKind, limit_hit, setting};
 use crate::transport::access::{Listener, Peer};
 use crate::transport::client::{self, Client, PerClient};
-use crate::transport::tls::{Opened, Outcome, Secure, Tls, linger};
+use crate::transport::tls::{self, Opened, Outcome, Secure, Tls};
 use axum::http::Request;
 use axum::{Extension, Router};
 use hyper::body::Incoming;
@@ -13,6 +14,7 @@ use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto::Builder;
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
+use metrics::{describe_gauge, gauge};
 use std::future::Future;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -23,6 +25,8 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
+
+const CONNECTIONS: &str = "ubbmap_connections_open";
 
 /// How long to wait after a failed accept: out of file descriptors, the next one fails as well.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -57,6 +61,28 @@ pub struct ServeLimits {
     pub clients: Arc<PerClient>,
     /// How long requests under way may take to end once `stop` is done.
     pub grace: Duration,
+}
+
+/// A connection as the metrics see it.
+struct Counted;
+
+impl Counted {
+    fn new() -> Self {
+        gauge!(CONNECTIONS).increment(1.0);
+        Self
+    }
+}
+
+impl Drop for Counted {
+    fn drop(&mut self) {
+        gauge!(CONNECTIONS).decrement(1.0);
+    }
+}
+
+/// Tells the recorder what the metric means, and shows it before there is a connection.
+pub(super) fn describe_connections() {
+    describe_gauge!(CONNECTIONS, "Connections of REST and gRPC that are open");
+    gauge!(CONNECTIONS).increment(0.0);
 }
 
 /// Serves until `stop` is done, and tells the routes from whom and by which listener a request came; then accepts no more,
@@ -104,7 +130,7 @@ pub async fn serve(
         let (builder, watcher, over) = (builder.clone(), graceful.watcher(), over.clone());
         let moving = limits.idle_timeout;
         tasks.spawn(async move {
-            let _share = share;
+            let (_share, _counted) = (share, Counted::new());
             let Some(Opened { stream, certificate }) = open(stream, address, tls, patience).await else { return };
             let peer = Peer { address: Some(address), certificate, listener: kind };
             let router = tower::Layer::layer(&Extension(peer), router).map_request(named(client.clone()));
@@ -163,11 +189,11 @@ fn builder(limits: &ServeLimits) -> Builder<TokioExecutor> {
     builder
 }
 
-/// Says in each request whose it is.
-fn named(client: Client) -> impl Fn(Request<Incoming>) -> Request<Incoming> + Clone {
+/// Says in each request whose it is, and has what nobody reads of it read all the same.
+fn named(client: Client) -> impl Fn(Request<Incoming>) -> Request<Lingering<Incoming>> + Clone {
     move |mut request| {
         request.extensions_mut().insert(client.clone());
-        request
+        linger(request)
     }
 }
 
@@ -216,6 +242,6 @@ async fn turn_away(mut stream: TcpStream) {
         body.len()
     );
     if stream.write_all(answer.as_bytes()).await.is_ok() {
-        linger(stream).await;
+        tls::linger(stream).await;
     }
 }
