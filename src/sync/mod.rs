@@ -12,13 +12,17 @@ pub(crate) mod explore;
 
 #[cfg(not(feature = "shuttle"))]
 pub(crate) use {
-    arc_swap::{ArcSwap, ArcSwapOption},
+    arc_swap::ArcSwapOption,
     std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize},
-    std::sync::{Mutex, MutexGuard, RwLock},
+    std::sync::{Mutex, MutexGuard},
 };
 
 #[cfg(all(feature = "service", not(feature = "shuttle")))]
-pub(crate) use std::{sync::Condvar, thread};
+pub(crate) use {
+    arc_swap::ArcSwap,
+    std::sync::{Condvar, RwLock},
+    std::thread,
+};
 
 #[cfg(feature = "shuttle")]
 pub(crate) use {
@@ -28,9 +32,11 @@ pub(crate) use {
     shuttle::thread,
 };
 
+#[cfg(feature = "service")]
 use std::sync::PoisonError;
 
 /// The lock of a mutex whether or not a thread panicked with it: no state here is left half changed by a panic.
+#[cfg(feature = "service")]
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
