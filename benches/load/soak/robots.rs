@@ -68,17 +68,12 @@ pub fn scan_of(fleet: &Fleet, robot: usize, step: u64) -> v1::Scan {
     let (east, north) = (shift(building % ACROSS, 6.0), shift(building / ACROSS, 4.0));
     // The world changes, so the map does: else every leaf would soon be as free or as occupied as can be.
     let (east, north) = (east + 1.3 * (lap % LAPS.0) as f64, north + 0.9 * (lap % LAPS.1) as f64);
-    // Few digits, which every reader of JSON takes for the same number.
-    let rounded = |number: f64| (1e6 * number).round() / 1e6;
     let moved = |side: Option<v1::Interval>, by: f64| {
-        let bound = |bound: f64| rounded(bound + by);
-        side.map(|side| v1::Interval { min: side.min.map(bound), max: side.max.map(bound) })
+        side.map(|side| v1::Interval { min: side.min.map(|min| min + by), max: side.max.map(|max| max + by) })
     };
     if let Some(pose) = scan.pose.as_mut() {
-        (pose.x, pose.y, pose.theta) = (moved(pose.x, east), moved(pose.y, north), moved(pose.theta, 0.0));
+        (pose.x, pose.y) = (moved(pose.x, east), moved(pose.y, north));
     }
-    scan.angle_min = scan.angle_min.map(rounded);
-    scan.angle_increment = scan.angle_increment.map(rounded);
     scan.sequence = None;
     scan
 }
