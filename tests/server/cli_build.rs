@@ -156,7 +156,7 @@ fn settings_reach_the_map() {
     assert_eq!((spec.beam_opening, spec.beam_angle_error), (0.5_f64.to_radians(), 0.001));
     assert_eq!((spec.range_min, spec.range_max, spec.no_return_free_to), (0.1, 25.0, Some(20.0)));
     assert!(map.tree.max_class(NodeAddress { depth: 0, x: 0, y: 0 }) > 10);
-    let words = bench.build(&log, &[]).ok().stderr;
+    let words = bench.build(&log, &["--pose-error", "0.01,0.1deg"]).ok().stderr;
     assert!(words.is_empty(), "{words}");
 }
 
