@@ -124,15 +124,20 @@ def hull(function, lowest, highest):
 
 
 def box(place, sigma):
-    """The laser's box, of the robot's covariance and the mount: plain interval arithmetic."""
+    """The laser's box, of the robot's covariance and the mount: plain interval arithmetic about where they say that it is."""
     x, y, theta = place
     half = sigma * np.sqrt(np.diag(VARIANCES)[[0, 1, 5]])
-    turn = heading(theta) + half[2] * np.array([-1, 1])
-    sin, cos = hull(math.sin, *turn), hull(math.cos, *turn)
-    times = lambda interval, factor: np.sort(interval * factor)
     mx, my, mount = MOUNT
-    across = x + half[0] * np.array([-1, 1]) + times(cos, mx) + times(sin, -my)
-    along = y + half[1] * np.array([-1, 1]) + times(sin, mx) + times(cos, my)
+    # From the robot to the laser, and how far an error of the heading swings that.
+    sin, cos = math.sin(heading(theta)), math.cos(heading(theta))
+    u, v = mx * cos - my * sin, mx * sin + my * cos
+    turn = half[2] * np.array([-1, 1])
+    swing = np.sin(turn)
+    less = hull(math.cos, *turn) - 1
+    times = lambda interval, factor: np.sort(interval * factor)
+    across = x + u + half[0] * np.array([-1, 1]) + times(less, u) + times(swing, -v)
+    along = y + v + half[1] * np.array([-1, 1]) + times(swing, u) + times(less, v)
+    turn = heading(theta) + turn
     return across, along, turn + heading(mount)
 
 
