@@ -88,6 +88,7 @@ fn router() -> axum::Router {
         transfers: 4,
         request_timeout: patience,
         transfer_timeout: patience,
+        idle_timeout: patience,
     });
     let limits =
         HttpSettings { body_bytes: 1 << 16, config_bytes: 1 << 14, import_bytes: 1 << 16, scans_per_stream: 4 };
