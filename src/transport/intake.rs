@@ -107,14 +107,6 @@ impl Held {
         self.set(held.saturating_add(bytes))
     }
 
-    /// What came so far was thrown away: nothing is held of it.
-    pub fn forget(held: Option<&Arc<Self>>) {
-        if let Some(held) = held {
-            // Giving back cannot fail.
-            let _ = held.set(0);
-        }
-    }
-
     /// Holds so many bytes from now on.
     ///
     /// # Errors

@@ -4,27 +4,12 @@
 
 use super::cli_support::{BEAMS, Done, Folder, gzip, room_carmen, room_json, run};
 use super::logs_real::data;
-use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use ubbmap::mapping::{EvidenceRule, MapConfig};
 use ubbmap::quadtree::{NodeAddress, OccupancyTree};
 use ubbmap::store::{LoadedMap, read_map_file};
 
-struct Bench(Folder);
-
-impl Deref for Bench {
-    type Target = Folder;
-
-    fn deref(&self) -> &Folder {
-        &self.0
-    }
-}
-
-impl Bench {
-    fn new() -> Self {
-        Self(Folder::new())
-    }
-
+impl Folder {
     fn log(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
         std::fs::write(self.path(name), bytes).unwrap();
         self.path(name)
@@ -52,7 +37,7 @@ fn class_at(config: &MapConfig, tree: &OccupancyTree, x: f64, y: f64) -> u8 {
 
 #[test]
 fn a_room_is_mapped_counted_written_and_drawn() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let log = bench.log("room.jsonl", room_json(170));
     let png = bench.path("room.png");
     let counts = bench.build(&log, &["--png", png.to_str().unwrap(), "--min-obstacle-width", "0.05"]).ok().json();
@@ -110,7 +95,7 @@ fn read_png(path: &Path) -> (usize, usize, Vec<u8>) {
 
 #[test]
 fn format_compression_and_threads_do_not_change_the_map() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let json = bench.log("a.jsonl", room_json(120));
     bench.build(&json, &["--pose-error", "0.03,0.5deg", "--threads", "1"]).ok();
     let expected = bench.bytes();
@@ -127,7 +112,7 @@ fn format_compression_and_threads_do_not_change_the_map() {
 
 #[test]
 fn every_and_limit_choose_scans() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let log = bench.log("a.jsonl", room_json(50));
     assert_eq!(bench.build(&log, &["--every", "7"]).ok().json()["scans"], 8);
     assert_eq!(bench.build(&log, &["--every", "7", "--limit", "3"]).ok().json()["scans"], 3);
@@ -141,7 +126,7 @@ fn every_and_limit_choose_scans() {
 
 #[test]
 fn settings_reach_the_map() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let log = bench.log("a.jsonl", room_json(3));
     let flags = "--evidence outer --resolution 0.05 --depth 12 --classes 20 --origin -50,-60 --range-error 0.02,0.04 \
                  --beam-opening 0.5deg --beam-diameter 0.02 --range-min 0.1 --range-max 25 --no-return-free-to 20 \
@@ -162,7 +147,7 @@ fn settings_reach_the_map() {
 
 #[test]
 fn a_damaged_log_is_mapped_up_to_the_damage() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let whole = room_json(40);
     let lines: Vec<&str> = whole.lines().collect();
     let head = lines[..21].join("\n");
@@ -203,7 +188,7 @@ fn a_damaged_log_is_mapped_up_to_the_damage() {
 
 #[test]
 fn what_is_no_log_is_refused() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let missing = bench.path("missing.gz");
     bench.build(&missing, &[]).fails(1, "missing.gz");
     bench.build(&bench.path(""), &[]).fails(1, "is a folder without a metadata.yaml");
@@ -223,7 +208,7 @@ fn what_is_no_log_is_refused() {
 
 #[test]
 fn bad_flags_are_bad_usage_and_name_the_value() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let log = bench.log("a.jsonl", room_json(1));
     for (flags, words) in [
         ("--classes 3", "classes must be between 4 and 255, got 3"),
@@ -258,7 +243,7 @@ fn bad_flags_are_bad_usage_and_name_the_value() {
 
 #[test]
 fn a_build_that_names_its_log_as_a_target_destroyed_it() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let log = bench.log("a.jsonl", room_json(3));
     let before = std::fs::read(&log).unwrap();
     let link = bench.path("link.jsonl");
@@ -291,7 +276,7 @@ fn every_command_has_help_with_an_example() {
 #[test]
 fn the_real_logs_are_mapped_by_every_rule() {
     let Some(data) = data() else { return };
-    let bench = Bench::new();
+    let bench = Folder::new();
     for (name, carmen, scans, flags) in [
         ("fr079", "freiburg-079-corrected.log.gz", 4791, ["--pose-error", "0,0deg"]),
         ("intel", "intel-corrected.log.gz", 910, ["--pose-error", "0.05,0.5deg"]),

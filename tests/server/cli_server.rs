@@ -3,7 +3,6 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::cli_support::{Done, Folder, Server, room_json, run, ubbmap, until};
-use std::ops::Deref;
 use std::path::Path;
 use std::process::{Child, Stdio};
 use ubbmap::quadtree::{LeafRange, OccupancyTree};
@@ -12,22 +11,8 @@ use ubbmap::store::read_map_file;
 const ANY: &str = "127.0.0.1:0";
 const SCANS: usize = 600;
 
-struct Bench(Folder);
-
-impl Deref for Bench {
-    type Target = Folder;
-
-    fn deref(&self) -> &Folder {
-        &self.0
-    }
-}
-
-impl Bench {
-    fn new() -> Self {
-        Self(Folder::new())
-    }
-
-    fn log(&self, scans: usize) -> String {
+impl Folder {
+    fn room(&self, scans: usize) -> String {
         std::fs::write(self.path("room.jsonl"), room_json(scans)).unwrap();
         self.text("room.jsonl")
     }
@@ -82,8 +67,8 @@ fn leaves_of(tree: &OccupancyTree) -> serde_json::Value {
 
 #[test]
 fn a_server_killed_in_the_middle_of_a_replay_ends_with_the_same_map() {
-    let bench = Bench::new();
-    let log = bench.log(SCANS);
+    let bench = Folder::new();
+    let log = bench.room(SCANS);
     run(["build", &log, "--out", &bench.text("calm.ubbmap"), "--pose-error", "0.03,0.5deg"]).ok();
 
     let mut server = bench.serve(ANY);
@@ -122,8 +107,8 @@ fn a_server_killed_in_the_middle_of_a_replay_ends_with_the_same_map() {
 
 #[test]
 fn a_replay_by_four_robots_resumes_after_both_ends_were_killed() {
-    let bench = Bench::new();
-    let log = bench.log(SCANS);
+    let bench = Folder::new();
+    let log = bench.room(SCANS);
     let mut server = bench.serve(ANY);
     let flags = ["--map", "room", "--robots", "4"];
     let mut sending = replay(&server, &log, &[&flags[..], &["--rate", "600", "--batch", "8"]].concat());
@@ -151,8 +136,8 @@ fn a_replay_by_four_robots_resumes_after_both_ends_were_killed() {
 
 #[test]
 fn a_replay_gives_up_on_a_server_that_stays_away() {
-    let bench = Bench::new();
-    let log = bench.log(300);
+    let bench = Folder::new();
+    let log = bench.room(300);
     let mut server = bench.serve(ANY);
     let sending = replay(&server, &log, &["--map", "room", "--rate", "100", "--batch", "4", "--retry-for", "4"]);
     until("some scans are applied", || {
@@ -175,8 +160,8 @@ fn a_replay_gives_up_on_a_server_that_stays_away() {
 
 #[test]
 fn a_damaged_log_and_rejected_scans_are_named() {
-    let bench = Bench::new();
-    let log = bench.log(30);
+    let bench = Folder::new();
+    let log = bench.room(30);
     let server = bench.serve(ANY);
     let text = std::fs::read_to_string(&log).unwrap();
     // Nothing is made for a log without a scan that can be read.
@@ -216,7 +201,7 @@ fn a_damaged_log_and_rejected_scans_are_named() {
 
 #[test]
 fn maps_are_created_listed_shown_and_deleted() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let server = bench.serve(ANY);
     assert!(server.run(&["map", "list"]).ok().stderr.contains("no maps"));
     server.run(&["map", "create", "hall", "--resolution", "0.05", "--evidence", "inner"]).ok();
@@ -243,8 +228,8 @@ fn maps_are_created_listed_shown_and_deleted() {
 
 #[test]
 fn regions_are_checked() {
-    let bench = Bench::new();
-    let log = bench.log(200);
+    let bench = Folder::new();
+    let log = bench.room(200);
     let server = bench.serve(ANY);
     finish(replay(&server, &log, &["--map", "room"])).ok();
     let free = ["check", "--map", "room", "--disc", "1.5,1.2,0.3", "--box", "-2,-1.5,-1.5,-1", "--require-free"];
@@ -295,7 +280,7 @@ fn regions_are_checked() {
 
 #[test]
 fn a_bad_configuration_ends_with_64() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let file = |name: &str, text: &str| {
         std::fs::write(bench.path(name), text).unwrap();
         bench.text(name)
@@ -323,7 +308,7 @@ fn a_bad_configuration_ends_with_64() {
 
 #[test]
 fn two_servers_do_not_share_an_address_or_a_store() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let server = bench.serve(ANY);
     let taken = run(["serve", "--listen", server.address(), "--data", &bench.text("other")]);
     let taken = taken.fails(1, server.address());
@@ -336,7 +321,7 @@ fn two_servers_do_not_share_an_address_or_a_store() {
 
 #[test]
 fn the_demo_maps_a_building_and_ends() {
-    let bench = Bench::new();
+    let bench = Folder::new();
     let (data, png) = (bench.text("demo"), bench.text("demo.png"));
     let flags = ["demo", "--listen", ANY, "--robots", "3", "--speed", "20", "--exit", "--data", &data];
     let done = run(flags.iter().chain(&["--duration", "2", "--json", "--png", &png])).ok();

@@ -44,6 +44,13 @@ impl Root {
         assert!(self.paged.try_whole().unwrap() == self.whole, "blocks of another revision");
     }
 
+    /// At once.
+    fn is_looked_into_by_three(&self) {
+        let look = |root: Self| thread::spawn(move || root.is_itself());
+        let readers = [self.clone(), self.clone(), self.clone()].map(look);
+        readers.into_iter().for_each(|reader| reader.join().unwrap());
+    }
+
     /// What is there without the shelf is right too.
     fn is_itself_as_far_as_it_is_in_memory(&self) {
         let paged = self.paged.in_memory();
@@ -142,13 +149,7 @@ fn every_root_is_its_own_revision_while_blocks_come_and_go() {
 fn a_block_that_many_look_into_is_fetched_once() {
     explore(500, || {
         let (desk, root) = Desk::open(8);
-        let readers: Vec<_> = (0..3)
-            .map(|_| {
-                let seen = root.clone();
-                thread::spawn(move || seen.is_itself())
-            })
-            .collect();
-        readers.into_iter().for_each(|reader| reader.join().unwrap());
+        root.is_looked_into_by_three();
         assert_eq!(*lock(&desk.shelf.fetches), 4, "each block once");
         let statistics = desk.cache.statistics();
         assert_eq!((statistics.loads, statistics.evictions), (4, 0));
@@ -161,13 +162,7 @@ fn a_block_that_many_look_into_is_fetched_once() {
 fn the_cache_keeps_its_limit_and_its_count_among_many() {
     explore(300, || {
         let (desk, root) = Desk::open(2);
-        let readers: Vec<_> = (0..3)
-            .map(|_| {
-                let seen = root.clone();
-                thread::spawn(move || seen.is_itself())
-            })
-            .collect();
-        readers.into_iter().for_each(|reader| reader.join().unwrap());
+        root.is_looked_into_by_three();
         // Nothing is held here: what was over the limit while somebody looked goes with the next that comes.
         root.is_itself();
         assert!(desk.cache.statistics().bytes <= 2 * 5700, "{:?}", desk.cache.statistics());

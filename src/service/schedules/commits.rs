@@ -27,8 +27,7 @@ fn robot(scene: &Scene, name: &'static str, requests: &'static [&'static [u64]])
     let scene = scene.clone();
     spawn(async move {
         for sequences in requests {
-            let scans = sequences.iter().map(|sequence| scan(name, *sequence)).collect();
-            let answer = scene.insert(scans).await.unwrap();
+            let answer = scene.send(name, sequences).await;
             assert!(answer.rejected.is_empty(), "{answer:?}");
             scene.check_answer(name, sequences, &answer).await;
             let root = scene.read().await;

@@ -261,6 +261,12 @@ impl Scene {
         self.service.insert(&self.name, scans).await
     }
 
+    /// Inserts scans of a robot, which are taken.
+    pub(super) async fn send(&self, robot: &str, sequences: &[u64]) -> InsertAnswer {
+        let scans = sequences.iter().map(|sequence| scan(robot, *sequence)).collect();
+        self.insert(scans).await.expect("an answer")
+    }
+
     /// Reads the last root whole; every leaf and every window must be those of its revision, and all of it durable.
     pub(super) async fn read(&self) -> Arc<Published> {
         let root = self.service.root(&self.name).await.expect("a root");

@@ -15,13 +15,20 @@ fn snapshot() -> SnapshotName {
     SnapshotName::new("before").unwrap()
 }
 
+/// A map with a scan, and a snapshot of it.
+async fn with_snapshot(expected: &Arc<Expected>) -> Scene {
+    let scene = Scene::new(expected, Scene::tight()).await;
+    scene.send("a", &[1]).await;
+    scene.service.take_snapshot(&scene.name, &snapshot()).await.unwrap();
+    scene
+}
+
 /// Sends scans until all of a request are in the map of the answer's revision.
 fn robot(scene: &Scene, name: &'static str, requests: &'static [&'static [u64]]) -> JoinHandle<()> {
     let scene = scene.clone();
     spawn(async move {
         for sequences in requests {
-            let scans = sequences.iter().map(|sequence| scan(name, *sequence)).collect();
-            let answer = scene.insert(scans).await.unwrap();
+            let answer = scene.send(name, sequences).await;
             assert!(answer.rejected.iter().all(|rejection| rejection.code == "MAP_RESTORED"), "{answer:?}");
             scene.check_answer(name, sequences, &answer).await;
         }
@@ -104,9 +111,7 @@ fn a_snapshot_that_many_ask_is_read_once() {
     let expected = Expected::new(4);
     explore(200, move || {
         block_on(async {
-            let scene = Scene::new(&expected, Scene::tight()).await;
-            scene.insert(vec![scan("a", 1)]).await.unwrap();
-            scene.service.take_snapshot(&scene.name, &snapshot()).await.unwrap();
+            let scene = with_snapshot(&expected).await;
             let viewers = [viewer(&scene, &expected), viewer(&scene, &expected), viewer(&scene, &expected)];
             scene.insert(vec![scan("a", 2)]).await.unwrap();
             for viewer in viewers {
@@ -123,9 +128,7 @@ fn a_name_that_is_given_anew_is_never_answered_with_what_it_kept_before() {
     let expected = Expected::new(4);
     explore(200, move || {
         block_on(async {
-            let scene = Scene::new(&expected, Scene::tight()).await;
-            scene.insert(vec![scan("a", 1)]).await.unwrap();
-            scene.service.take_snapshot(&scene.name, &snapshot()).await.unwrap();
+            let scene = with_snapshot(&expected).await;
             let viewers = [viewer(&scene, &expected), viewer(&scene, &expected)];
             scene.service.delete_snapshot(&scene.name, &snapshot()).await.unwrap();
             scene.insert(vec![scan("a", 2)]).await.unwrap();
@@ -146,9 +149,7 @@ fn a_snapshot_that_was_read_while_its_map_was_deleted_stayed_in_memory() {
     let expected = Expected::new(4);
     explore(300, move || {
         block_on(async {
-            let scene = Scene::new(&expected, Scene::tight()).await;
-            scene.insert(vec![scan("a", 1)]).await.unwrap();
-            scene.service.take_snapshot(&scene.name, &snapshot()).await.unwrap();
+            let scene = with_snapshot(&expected).await;
             let viewer = {
                 let scene = scene.clone();
                 spawn(async move {

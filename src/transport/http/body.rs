@@ -13,10 +13,6 @@ use http_body_util::BodyExt;
 use std::io::Read;
 use std::sync::Arc;
 
-/// Of a body that is too large, this many times the limit is read and thrown away before the answer: a client that
-/// only reads once it has written all would else never see why it was refused.
-const DISCARDED_LIMITS: usize = 4;
-
 /// Bodies above this many bytes are decoded on a thread of their own, so that they do not hold up other requests.
 const DECODE_APART_ABOVE: usize = 64 * 1024;
 
@@ -47,7 +43,7 @@ pub enum ScanEncoding {
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::UnsupportedMediaType`] for an encoding other than gzip,
 /// [`ErrorKind::InvalidRequest`] for a body that breaks off or is not gzip.
 pub async fn read(parts: &Parts, body: Body, limit: Limit) -> Result<Bytes, HttpError> {
-    let bytes = collect(parts, body, limit).await?;
+    let bytes = collect(body, limit).await?;
     let encoding = header_text(&parts.headers, &header::CONTENT_ENCODING)?;
     match encoding.as_deref() {
         None | Some("" | "identity") => Ok(bytes),
@@ -130,35 +126,26 @@ pub async fn apart<T: Send + 'static>(
 ///
 /// # Errors
 /// [`ErrorKind::BodyTooLarge`], [`ErrorKind::InvalidRequest`] for one that breaks off.
-pub async fn collect(parts: &Parts, mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
+pub async fn collect(mut body: Body, limit: Limit) -> Result<Bytes, HttpError> {
     let mut kept: Vec<u8> = Vec::new();
     let mut only = Bytes::new();
     let mut total = 0;
-    let Limit { bytes: most, .. } = limit;
     while let Some(frame) = body.frame().await {
         let frame = frame.map_err(|error| HttpError(broken(error)))?;
         let Ok(data) = frame.into_data() else { continue };
+        if data.len() > limit.bytes - total {
+            return Err(too_large(limit, ""));
+        }
         if total == 0 {
             // A body of one piece is taken without a copy.
             only = data.clone();
-        } else if total <= most {
+        } else {
             if kept.is_empty() {
                 kept.extend_from_slice(&only);
             }
             kept.extend_from_slice(&data);
         }
         total += data.len();
-        if total > most {
-            kept = Vec::new();
-            only = Bytes::new();
-            Held::forget(parts.extensions.get::<Arc<Held>>());
-        }
-        if total > most.saturating_mul(DISCARDED_LIMITS) {
-            break;
-        }
-    }
-    if total > most {
-        return Err(too_large(limit, ""));
     }
     Ok(if kept.is_empty() { only } else { Bytes::from(kept) })
 }

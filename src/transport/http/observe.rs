@@ -67,7 +67,7 @@ async fn guarded(app: &Shared, request: Request, next: Next, route: &str) -> Res
     let (request, admitted) = guard::admit(&app.door, request, shape, Error::new)?;
     let versioned = request.uri().path().starts_with(OPERATIONS);
     let response = if versioned {
-        let (request, role) = access::admit(app, request).await;
+        let (request, role) = access::admit(app, request);
         match role {
             Some(role) => {
                 let answered = limited(app, request, next, route).await;

@@ -3,7 +3,7 @@
 use super::body::{self, ScanEncoding};
 use super::params::no_params;
 use super::path::MapPath;
-use super::{App, HttpError, accept, access, lines, respond};
+use super::{App, HttpError, accept, lines, respond};
 use crate::store::MapName;
 use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::client::Client;
@@ -30,15 +30,9 @@ pub async fn insert(
         let MapPath(map) = path?;
         return stream(app, caller, &map, &parts, body).await;
     }
-    let may = path.and_then(|MapPath(map)| Ok(caller.may(Operation::InsertScans, &map).map(|()| map)?));
-    let map = match may {
-        Ok(map) => map,
-        Err(refusal) => {
-            // Nothing of it is kept of one whose scans are not taken.
-            access::discard(body, &parts, &app).await;
-            return Err(refusal);
-        }
-    };
+    let MapPath(map) = path?;
+    // Nothing is kept of one whose scans are not taken.
+    caller.may(Operation::InsertScans, &map)?;
     let bytes = body::read(&parts, body, app.settings.body_limit()).await?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;

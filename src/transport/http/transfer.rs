@@ -5,7 +5,7 @@ use super::openapi::table::EXPORT_MAP;
 use super::params::{no_params, params};
 use super::path::MapPath;
 use super::respond::matches;
-use super::{App, HttpError, accept, access, respond};
+use super::{App, HttpError, accept, respond};
 use crate::service::{ExportedFile, ServiceError};
 use crate::transport::access::{OnBehalf, Operation};
 use crate::transport::{files, operations};
@@ -75,16 +75,11 @@ pub async fn import(
     request: Request,
 ) -> Result<Response, HttpError> {
     let (parts, body) = request.into_parts();
-    if let Ok(MapPath(map)) = &path
-        && let Err(refused) = caller.may(Operation::ImportMap, map)
-    {
-        // Nobody holds a whole file in memory for whom nothing is made of it.
-        access::discard(body, &parts, &app).await;
-        return Err(refused.into());
-    }
-    body::plain(&parts.headers)?;
-    let file = body::collect(&parts, body, app.settings.import_limit()).await?;
     let MapPath(map) = path?;
+    // Nobody holds a whole file in memory for whom nothing is made of it.
+    caller.may(Operation::ImportMap, &map)?;
+    body::plain(&parts.headers)?;
+    let file = body::collect(body, app.settings.import_limit()).await?;
     no_params(&parts.uri)?;
     let form = accept::message(&parts.headers)?;
     let imported = operations::import_map(&caller, map.as_str(), file).await?;
