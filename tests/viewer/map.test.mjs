@@ -288,3 +288,26 @@ test('a server without a map says so, and shows the first that comes', async () 
   await bare.stop();
   bare.remove();
 });
+
+test('an address of a map that is not there showed another one', async () => {
+  const site = await Site.open(browser, server, undefined, { hash: '#map=nix', live: false });
+  await site.says('empty', /no map 'nix' here/);
+  assert.equal(new URL(site.page.url()).hash, '#map=nix');
+  assert.equal(await site.page.locator('#maps').inputValue(), '');
+  await site.page.locator('#maps').selectOption('hall');
+  await site.says('live', 'live');
+  assert.equal((await site.place()).map, 'hall');
+  await site.close();
+});
+
+test('an empty map that was made last hid those with something in them', async () => {
+  const fresh = await new Server().start();
+  await fresh.create('filled', CONFIG);
+  await fresh.insert('filled', drive(1));
+  await fresh.create('later', CONFIG);
+  const site = await Site.open(browser, fresh);
+  assert.equal((await site.place()).map, 'filled');
+  await site.close();
+  await fresh.stop();
+  fresh.remove();
+});

@@ -91,9 +91,17 @@ async function refresh(): Promise<void> {
     return;
   }
   const wanted = read(location.hash);
-  const newest = maps.reduce<MapSummary | null>((best, map) => (best === null || map.created > best.created ? map : best), null);
-  if (wanted.map !== null && names.includes(wanted.map)) await choose(wanted.map, wanted.place);
-  else if (newest !== null) await choose(newest.name, null);
+  if (wanted.map !== null && names.includes(wanted.map)) return choose(wanted.map, wanted.place);
+  if (wanted.map !== null) {
+    // Who was given the address of a map should not take another one for it.
+    select.selectedIndex = -1;
+    empty(`There is no map '${wanted.map}' here. Choose one of those that there are.`);
+    return;
+  }
+  // The newest in which there is something.
+  const filled = maps.filter((map) => map.revision !== '0');
+  const [newest] = (filled.length > 0 ? filled : maps).slice().sort((a, b) => b.created - a.created);
+  if (newest !== undefined) await choose(newest.name, null);
 }
 
 // Panels
